@@ -22,7 +22,8 @@ class Simulation:
     """A scene being stepped.
 
     ``settle``: begin in equilibrium, where everything is held. ``left``: what an earlier rollout has left of the
-    bodies, which are virgin without. ``halvings``: how often a step was halved since the last reset.
+    bodies, which are virgin without. ``begin``: the state in which it begins instead. ``halvings``: how often a step
+    was halved since the last reset.
     """
 
     def __init__(
@@ -31,8 +32,9 @@ class Simulation:
         settings: NewtonSettings | None = None,
         settle: bool = True,
         left: PermanentState | None = None,
+        begin: State | None = None,
     ) -> None:
-        self.scene, self.left = scene, left
+        self.scene, self.left, self.begin = scene, left, begin
         self.observer = Observer(scene)
         self._settings, self._settle = settings or NewtonSettings(), settle
         self._system = scene.system
@@ -40,10 +42,11 @@ class Simulation:
         self.reset()
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
-        """Back to rest at the start poses (or ``frames``, as told), in equilibrium when everything is held."""
+        """Back to the start poses (or ``frames``, as told): at rest, in equilibrium when everything is held, or in the
+        state :attr:`begin`."""
         self._check_scene()
         self.halvings = 0
-        self._steps = CoreSteps(self.scene, self._settings, frames or {}, self.left, self._settle)
+        self._steps = CoreSteps(self.scene, self._settings, frames or {}, self.left, self._settle, self.begin)
 
     def refresh(self) -> None:
         """Go on from the present state with the numbers that the scene has now: materials that :meth:`Scene.use` has

@@ -7,12 +7,15 @@
     states/positions            (n, N, 3) [m]        states/pressures      (n, N) [Pa]
     states/slip_speeds          (n, N) [m/s]         states/forces/<pair>  (n, N, 3) [N]
     states/origins/<mount>      (n, 3) [m]           states/quaternions/<mount>  (n, 4), x y z w
+    sought/<name>               (k, 3) [m] in the base frame: where points of a body are to be at the end
 
-The states are there if the trace has them. Reports of the steps are not kept. Nothing is pickled.
+The states are there if the trace has them, and so is what was sought. Reports of the steps are not kept. Nothing is
+pickled.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -23,6 +26,7 @@ from sim_core.simulate import Trace
 from sim_core.state_history import StateHistory
 
 __all__ = [
+    "load_sought",
     "load_trace",
     "save_trace",
 ]
@@ -30,8 +34,9 @@ __all__ = [
 VERSION = 1
 
 
-def save_trace(path: Path | str, trace: Trace) -> None:
-    """Write a trace to a new ``.npz`` file. Raises ``ConfigError`` where it cannot be written or exists."""
+def save_trace(path: Path | str, trace: Trace, sought: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write a trace to a new ``.npz`` file. ``sought``: where points are to be at the end [m] ``(k, 3)``, by name.
+    Raises ``ConfigError`` where it cannot be written or exists."""
     path = Path(path)
     if path.suffix != ".npz":
         raise ConfigError(f"A trace is a .npz file, and {path} is not named so.", f"Write {path}.npz.")
@@ -43,6 +48,7 @@ def save_trace(path: Path | str, trace: Trace) -> None:
         "kinds": np.array([f"{name}={kind}" for name, kind in trace.kinds.items()], dtype=str),
         **{f"outputs/{name}": values for name, values in trace.outputs.items()},
         **{f"ids/{name}": values for name, values in trace.ids.items()},
+        **{f"sought/{name}": points for name, points in (sought or {}).items()},
     }
     states = trace.states
     if states is not None:
@@ -58,6 +64,13 @@ def save_trace(path: Path | str, trace: Trace) -> None:
         np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise ConfigError(f"{path} cannot be written: {error.strerror}.", "Check the folder.") from None
+
+
+def load_sought(path: Path | str) -> dict[str, np.ndarray]:
+    """Where points are to be at the end of a trace [m] ``(k, 3)``, by name. The file is one that :func:`load_trace`
+    reads."""
+    with np.load(Path(path), allow_pickle=False) as stored:
+        return _group({name: np.asarray(stored[name]) for name in stored.files}, "sought/")
 
 
 def load_trace(path: Path | str) -> Trace:

@@ -77,8 +77,8 @@ class RecordedRollout(CoreRollout):
         nodes = len(self.scene.rest)
         out = np.zeros((span.stop - span.start, nodes + len(self.scene.compliant), 3))
         first = span.start
-        if not first and not self.scene.all_held:  # where bodies were put no step ended
-            out[0, :nodes] = start_state(self.scene, self.frames(0))[0]
+        if not first and (self.given is not None or not self.scene.all_held):  # where bodies were put no step ended
+            out[0, :nodes] = start_state(self.scene, self.frames(0))[0] if self.given is None else self.given.x
             first = 1
         if first < span.stop:
             to = pointer_to(out[first - span.start :])

@@ -31,6 +31,7 @@ from sim_core.scene.strain_range import check_strains_at
 from sim_core.sensing.instants import Instants, InstantsAlong, bearing_nodes
 from sim_core.sensing.observe import Observer
 from sim_core.solve.report import NewtonSettings, Result, StepReport
+from sim_core.solve.state import State
 from sim_core.state_history import StateHistory, StateRecorder
 from sim_core.threads import end_if_unwanted
 from sim_core.trace import FOREVER_S, SETTLED_AFTER_S, NodePath, Trace, interpolate
@@ -98,6 +99,8 @@ class CoreRollout(CoreState):
         self.least_volumes: dict[str, LeastVolume] = {}
         """Where each gel was pressed most."""
         self._seen = np.zeros((0, 3))
+        self.given: State | None = None
+        """The state in which it was told to begin, where it did not settle."""
 
     def left(self) -> PermanentState | None:
         """What bodies keep of what has happened to them; None where they keep nothing."""
@@ -154,6 +157,12 @@ class CoreRollout(CoreState):
 
     # The start
 
+    def begin(self, state: State) -> Chunk:
+        """Begin in a state, at the first frames, in place of settling."""
+        CoreState.put(self, state)
+        self.given = state
+        return self._stand()
+
     def settle(self, start: Slopes | None = None, left: PermanentState | None = None, balanced: bool = True) -> Chunk:
         """Come to rest at the first frames, as :func:`sim_core.simulation.settle` does; what something does not hold
         stays where it is put, and so does all where it is not to be ``balanced``. ``start``: derivatives of that;
@@ -168,10 +177,8 @@ class CoreRollout(CoreState):
         if start is not None:
             self._put(*start)
         if not (balanced and scene.all_held):
-            at, out = self._first(), ctypes.byref(self._outputs())
             self._library.thinshell_rest(self._handle, 1)
-            self._library.thinshell_stand(self._handle, scene.rig.solver.dt_s, *at, int(scene.system.inertia), out)
-            return self._chunk(slice(0, 1))
+            return self._stand()
         enough = max(self._settings.max_iterations, NewtonSettings.max_iterations)
         self._library.thinshell_iterations(self._handle, enough)
         dt, failed = 1e-3, 0
@@ -190,6 +197,12 @@ class CoreRollout(CoreState):
             raise failure
         self._library.thinshell_iterations(self._handle, self._settings.max_iterations)
         self._library.thinshell_rest(self._handle, 0)
+        return self._chunk(slice(0, 1))
+
+    def _stand(self) -> Chunk:
+        """What there is where nothing has moved yet."""
+        at, out, system = self._first(), ctypes.byref(self._outputs()), self.scene.system
+        self._library.thinshell_stand(self._handle, self.scene.rig.solver.dt_s, *at, int(system.inertia), out)
         return self._chunk(slice(0, 1))
 
     def _put(self, d_x: np.ndarray, d_v: np.ndarray, rotations: Mapping[str, np.ndarray]) -> None:

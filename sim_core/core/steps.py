@@ -29,11 +29,12 @@ class CoreSteps(CoreRollout):
         frames: Mapping[str, Frame],
         left: PermanentState | None,
         balanced: bool,
+        begin: State | None = None,
     ) -> None:
         super().__init__(scene, {}, np.zeros(1), settings)
         self.mounts = with_offsets(scene.rig, {**scene.start, **frames})
         self.places = mount_row(self.mounts)[None]
-        self._take(self.settle(left=left, balanced=balanced))
+        self._take(self.settle(left=left, balanced=balanced) if begin is None else self.begin(begin))
         self._state: State | None = None
 
     def _make(self) -> None:

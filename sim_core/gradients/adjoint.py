@@ -116,7 +116,8 @@ class Backward:
             adjoint.sweep(first, *self._read(slice(first, last), weights, frames), frames)
         start_x, start_v = adjoint.nodal("x"), adjoint.nodal("v")
         start_memory = adjoint.internals(tape.start.internals)
-        self._back_to_where_bodies_are_put(weights, frames)
+        if rollout.given is None:
+            self._back_to_where_bodies_are_put(weights, frames)
         poses = {name: frames[:, m] for m, name in enumerate(rollout.mounts)}
         found = adjoint.numbers[: len(self._along)] + self._pictures.total()
         for mount, moved in self._moved.items():

@@ -41,11 +41,13 @@ class Tape:
         memory_mb: float = MEMORY_MB,
         on_step: Callable[[int, int], None] | None = None,
         watch: Callable[[int, Mapping[str, np.ndarray], int], None] | None = None,
+        begin: State | None = None,
     ) -> None:
         """Make the rollout at ``times`` [s] ``(n,)``. ``memory_mb``: bound on the steps that are kept; what else there
         is of longer rollouts is made again on the way back, from positions, which are kept; ``watch`` is called with
         the number of each step, the readings after it and how many steps were halved so far, and ends the rollout by
-        what it raises. Raises ``ConvergenceError``, and ``ConfigError`` where the compiled core does not cover the
+        what it raises. ``begin``: the state in which it begins, which is taken for given: it does not follow poses.
+        Raises ``ConvergenceError``, and ``ConfigError`` where the compiled core does not cover the
         scene."""
         if (lack := covers(scene)) is not None:
             raise ConfigError(
@@ -76,7 +78,7 @@ class Tape:
                     watch(k, {c: v[row] for c, v in readings[-1].items()}, halvings)
             tell(scene, rollout, chunk, on_step)
 
-        take(rollout.settle())
+        take(rollout.settle() if begin is None else rollout.begin(begin))
         self.mounts = rollout.frames(0)
         self.start = rollout.state_now(0.0)
         for chunk in rollout.run():

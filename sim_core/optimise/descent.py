@@ -17,7 +17,8 @@ FIRST_STEP = 0.2
 """Largest change of an entry in the first step of L-BFGS-B."""
 
 SHAKE = 0.15
-"""Standard deviation of what is added to the best action where a search begins anew."""
+"""Standard deviation of the action that a search begins with, and of what is added to the best one where it begins
+anew."""
 
 FIRST, SECOND = 0.8, 0.95
 """Decay of the means of gradients and of their squares in Adam: for few steps, faster than is usual for many."""

@@ -4,15 +4,15 @@ ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent ove
 
 1. a few gradients from the start tell whether the reward can be followed from there. Often it cannot: what sticks, or
    is not touched, has a gradient of its stuck state, which says nothing about where it goes once it slides;
-2. so each straight motion of the hands is tried, at half of its bounds, and slower where its rollout ends early. The
-   best of them has broken contacts that stick, and L-BFGS-B climbs from there;
+2. so each straight motion of the hands is tried, at about half of its bounds, and slower where its rollout ends early.
+   The best of them has broken contacts that stick, and L-BFGS-B climbs from there;
 3. then each motion out and back, which begins and ends where the hands are: it acts by its speed, so it is tried at its
    bounds first. What is thrown, shaken or tapped moves by it where no straight motion of the hands moves it;
 4. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
    best of those, again and again, with evolution the narrower the later.
 
-L-BFGS-B climbs from the best motion of a kind where that is the best action so far. Only evolution draws at random: a
-search that ends before it is the same for every seed.
+L-BFGS-B climbs from the best motion of a kind where that is the best action so far. The start is drawn at random
+(:func:`sim_core.optimise.run.optimise`), and so is how large each straight motion is.
 
 A climb ends when it converges or gains little. Where rollouts end early, or the gradient is zero because nothing
 touches, evolution goes on until it has found an action that has a gradient.
@@ -35,6 +35,9 @@ PROBE = 5
 SHARES = {STRAIGHT: (0.5, 0.2, 0.08), OUT_AND_BACK: (1.0, 0.4, 0.16)}
 """Of the bounds, at which motions of a kind are tried: the next one where a rollout ends early."""
 
+SPREAD = {STRAIGHT: 0.5, OUT_AND_BACK: 0.0}
+"""Each motion of a kind is larger or smaller than that by up to this share, drawn evenly."""
+
 GENERATIONS = 4
 """Of evolution between two climbs."""
 
@@ -54,7 +57,7 @@ def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> Non
     """Search from ``start`` ``(size,)`` until the budget is spent."""
     lbfgsb(problem, start, most=PROBE, enough=_Gains())
     for kind, shares in SHARES.items():
-        way = _tried(problem, start, kind, shares)
+        way = _tried(problem, rng, kind, shares)
         if way is not None and way is problem.best:
             lbfgsb(problem, way.action, most=CLIMB, enough=_Gains())
     sigma = SIGMA
@@ -66,14 +69,15 @@ def hybrid(problem: Problem, start: np.ndarray, rng: np.random.Generator) -> Non
         sigma = max(NARROWER * sigma, 0.2 * SIGMA)
 
 
-def _tried(problem: Problem, start: np.ndarray, kind: str, shares: Sequence[float]) -> Evaluation | None:
-    """The best of the motions of a kind, added to ``start``, that come to an end, if there is one."""
+def _tried(problem: Problem, rng: np.random.Generator, kind: str, shares: Sequence[float]) -> Evaluation | None:
+    """The best of the motions of a kind that come to an end, if there is one."""
     motions = problem.motions.get(kind, np.zeros((0, problem.size)))
     left, first = list(range(len(motions))), len(problem.history)
+    sizes = 1.0 + SPREAD[kind] * rng.uniform(-1.0, 1.0, len(motions))
     for share in shares:
         problem.phase = kind
         at = len(problem.history)
-        problem.values([start + share * motions[k] for k in left])
+        problem.values([np.clip(sizes[k] * share * motions[k], -1.0, 1.0) for k in left])
         tried = problem.history[at:]
         left = [k for k, evaluation in zip(left, tried, strict=True) if evaluation.outcomes[0].stopped]
     found = [e for e in problem.history[first:] if not any(o.stopped for o in e.outcomes)]

@@ -57,8 +57,9 @@ class Problem:
     """A task as an optimisation problem over actions in [-1, 1]. ``history``: all evaluations; ``best``: the fittest.
 
     ``draws``: sets of parameters over which the mean of the fitness, and with ``quantile`` q > 0 the mean of its least
-    share q, is sought. ``stop_at_success``: the search ends with the first success. ``motions``: those that may be
-    tried first, by kind, each ``(m, size)`` (:meth:`sim_core.tasks.ActionSpace.generic`).
+    share q, is sought. ``stop_at_success``: the search ends with the first success that ``confirm`` says is one,
+    which is :attr:`confirmed`. ``motions``: those that may be tried first, by kind, each ``(m, size)``
+    (:meth:`sim_core.tasks.ActionSpace.generic`).
     """
 
     def __init__(
@@ -71,13 +72,15 @@ class Problem:
         draws: Sequence[Parameters] = (),
         quantile: float = 0.0,
         stop_at_success: bool = False,
+        confirm: Callable[[Evaluation], bool] = lambda _: True,
         motions: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         self.motions = dict(motions or {})
         self.size, self.workers = evaluator.size, evaluator.workers
         self._evaluator, self.budget, self._on_rollout = evaluator, budget, on_rollout
         self._draws: list[Parameters | None] = list(draws) or [None]
-        self._quantile, self._stop_at_success = quantile, stop_at_success
+        self._quantile, self._stop_at_success, self._confirm = quantile, stop_at_success, confirm
+        self.confirmed: Evaluation | None = None
         self.history: list[Evaluation] = []
         self.best: Evaluation | None = None
         self.phase = ""
@@ -129,7 +132,8 @@ class Problem:
                 if self.best is None or evaluation.fitness > self.best.fitness:
                     self.best = evaluation
                 self._tell()
-                if self._stop_at_success and evaluation.success:
+                if self._stop_at_success and evaluation.success and self._confirm(evaluation):
+                    self.confirmed = evaluation
                     raise BudgetSpent
             if len(part) < len(actions[first : first + self.workers]):
                 raise BudgetSpent

@@ -3,8 +3,10 @@
     run.json          task, variant, method, budget, seed, versions
     task.yaml, rig.yaml  the task and the rig with the numbers of the variant
     evaluations.jsonl every action that was tried, in order (:mod:`sim_core.optimise.problem`)
+    checks.jsonl      what came of the checks of successes (:mod:`sim_core.optimise.confirm`)
     result.json       the best action, its reward, whether it is a success, rollouts, seconds
-    trajectory.json   the best motion, with what the sensors of the rig will read (:mod:`sim_core.trajectories`)
+    trajectory.json   the best motion and what the hands do afterwards, with what the sensors of the rig will read
+                      (:mod:`sim_core.trajectories`)
     trace.npz         its rollout with all states (:mod:`sim_core.trace_file`): 'thinshell show' draws it
 
 A folder with a log goes on from there.
@@ -26,9 +28,11 @@ import numpy as np
 import yaml
 
 from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.optimise.confirm import Confirmations
+from sim_core.optimise.descent import SHAKE
 from sim_core.optimise.evaluators import Parameters, evaluator
 from sim_core.optimise.methods import method
-from sim_core.optimise.problem import Budget, BudgetSpent, OnRollout, Problem
+from sim_core.optimise.problem import Budget, BudgetSpent, Evaluation, OnRollout, Problem
 from sim_core.rigs import rig_to_yaml
 from sim_core.simulate import Trace
 from sim_core.tasks.actions import ActionSpace
@@ -44,8 +48,9 @@ TRAJECTORY, TRACE = "trajectory.json", "trace.npz"
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one search. ``draws``: sets of parameters over which the fitness is meant, and ``quantile`` its least share;
-    ``stop_at_success``: the search ends with the first success."""
+    """Of one search. ``seed``: of all that is drawn, the action that it begins with included; ``draws``: sets of
+    parameters over which the fitness is meant, and ``quantile`` its least share; ``stop_at_success``: the search ends
+    with the first success that a check confirms."""
 
     method: str = "hybrid"
     rollouts: int = 200
@@ -61,15 +66,21 @@ class Settings:
 class Result:
     """What a search found.
 
-    ``reward``, ``success``: of the best action with the cells and the parameters of the rig; ``searched_reward``: its
+    ``reward``: of the best action with the cells and the parameters of the rig; ``reached``: whether that is one of a
+    success, ``success``: whether a person would call it one (:mod:`sim_core.tasks.check`), ``failures``: why not,
+    ``refined_reward``: with cells and steps half as large, NaN where that was not tried; ``searched_reward``: its
     fitness in the search, with its cells, over the draws, of which ``success_share`` are successes; ``to_success``:
-    rollouts up to the first success in the search (None: there is none); ``cpu_s``, ``wall_s`` [s]; ``curve``:
-    rollouts, best fitness so far, and what the method was doing.
+    rollouts up to the first with the reward of a success (None: there is none); ``cpu_s`` of the rollouts, ``check_s``
+    of the checks: process time [s]; ``wall_s`` [s]; ``curve``: rollouts, best fitness so far, and what the method was
+    doing.
     """
 
     action: np.ndarray
     reward: float
+    reached: bool
     success: bool
+    failures: tuple[str, ...]
+    refined_reward: float
     stopped: str
     force_n: float
     searched_reward: float
@@ -77,6 +88,7 @@ class Result:
     rollouts: int
     to_success: int | None
     cpu_s: float
+    check_s: float
     wall_s: float
     interrupted: bool
     curve: tuple[tuple[int, float, str], ...]
@@ -101,6 +113,9 @@ def optimise(
     if folder is not None:
         log = _open(made, settings, folder)
     interrupted = False
+    confirm = Confirmations(made, folder)
+    rng = np.random.default_rng(settings.seed)
+    start = np.clip(SHAKE * rng.standard_normal(space.size), -1.0, 1.0)
     with evaluator(made, settings.workers, made.has_coarse, space.size) as rollouts:
         problem = Problem(
             rollouts,
@@ -110,10 +125,11 @@ def optimise(
             draws=settings.draws,
             quantile=settings.quantile,
             stop_at_success=settings.stop_at_success,
+            confirm=confirm,
             motions=space.generic(),
         )
         try:
-            search(problem, np.zeros(space.size), np.random.default_rng(settings.seed))
+            search(problem, start, rng)
         except BudgetSpent:
             pass
         except KeyboardInterrupt:
@@ -126,17 +142,17 @@ def optimise(
                 f"No rollout of {made.name} came to its end in {problem.rollouts}: {why}.",
                 "Allow more rollouts, or smaller steps of the hands.",
             )
+    best = problem.confirmed or problem.best
     nominal = made.has_coarse or settings.draws
-    final = TaskRollouts(made).outcome(problem.best.action) if nominal else problem.best.outcomes[0]
-    result = _result(problem, final, interrupted)
+    final = TaskRollouts(made).outcome(best.action) if nominal else best.outcomes[0]
+    result = _result(problem, best, final, confirm, interrupted)
     if folder is not None:
         (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")
         write_motion(made, settings, result, folder)
     return result
 
 
-def _result(problem: Problem, final: Outcome, interrupted: bool) -> Result:
-    assert problem.best is not None
+def _result(problem: Problem, chosen: Evaluation, final: Outcome, confirm: Confirmations, interrupted: bool) -> Result:
     best, count, curve, to_success = -np.inf, 0, [], None
     for evaluation in problem.history:
         count += len(evaluation.outcomes)
@@ -146,17 +162,22 @@ def _result(problem: Problem, final: Outcome, interrupted: bool) -> Result:
         if to_success is None and evaluation.success:
             to_success = count
     cpu = sum(o.cpu_s for e in problem.history for o in e.outcomes)
+    verdict = confirm.verdict(chosen.action) if final.success and not interrupted else None
     return Result(
-        problem.best.action,
+        chosen.action,
         final.reward,
         final.success,
+        verdict is not None and verdict.passed,
+        () if verdict is None else verdict.failures,
+        float("nan") if verdict is None else verdict.refined_reward,
         final.stopped,
         final.force_n,
-        problem.best.fitness,
-        float(np.mean([o.success for o in problem.best.outcomes])),
+        chosen.fitness,
+        float(np.mean([o.success for o in chosen.outcomes])),
         count,
         to_success,
         cpu,
+        confirm.cpu_s,
         problem.wall_s,
         interrupted,
         tuple(curve),
@@ -197,7 +218,8 @@ def write_motion(made: MadeTask, settings: Settings, result: Result, folder: Pat
         (folder / name).unlink(missing_ok=True)
     write_trajectory(folder / TRAJECTORY, trajectory)
     if trace is not None:
-        save_trace(folder / TRACE, trace)
+        rollouts.outcome(result.action)
+        save_trace(folder / TRACE, trace, rollouts.sought())
 
 
 def _traced(rollouts: TaskRollouts, action: np.ndarray, parameters: Parameters) -> Trace | None:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConfigError
 from sim_core.rigs.motion import Experiment, compile_experiment
-from sim_core.rigs.trajectory import PoseTrajectory
+from sim_core.rigs.trajectory import PoseTrajectory, minimum_jerk
 from sim_core.tasks.executable import ExecutableActions, HandSpan
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.schema import Actions
@@ -51,6 +51,14 @@ def left_jacobian(turn: np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) + (1.0 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * k @ k)
 
 
+def _ends(poses: Mapping[str, PoseTrajectory]) -> dict[str, PoseTrajectory]:
+    """The last poses alone."""
+    return {
+        name: PoseTrajectory.from_samples(np.zeros(1), p.positions[-1:], p.quaternions[-1:], source=name)
+        for name, p in poses.items()
+    }
+
+
 @dataclass(frozen=True)
 class _Way:
     """What a hand does over the steps: ``moves``: motions ``(steps, 7)``; ``shift``, ``turn``, ``closed``: their sums
@@ -65,7 +73,8 @@ class _Way:
 class ActionSpace:
     """Actions of a task. ``size``: of the vector; ``names``: of its entries; ``components``: of each entry, 0 to 2 a
     translation along x, y, z, 3 to 5 a turn about them, 6 closing; ``times`` [s]: of all steps, from the approach to
-    the end; ``first``, ``last``: step numbers between which the hands act."""
+    the end; ``first``, ``last``: step numbers between which the hands act; ``grip``: poses at the steps of an approach
+    that is made before."""
 
     def __init__(self, made: MadeTask) -> None:
         task, self._actions, rig = made.task, made.actions, made.rig
@@ -91,14 +100,17 @@ class ActionSpace:
         )
         self._approach = compile_experiment(experiment, rig)
         count = len(next(iter(self._approach.values())).times) if any(task.approach.values()) else 1
-        self.first = count - 1
+        self.grip: dict[str, PoseTrajectory] = {}
+        if task.begins == "held":
+            self.grip, self._approach, count = self._approach, _ends(self._approach), 1
+        self.first, self._count = count - 1, count
         self.last = self.first + self._actions.steps
-        total = self.last + task.hold_steps + task.retreat_steps
-        self.times: np.ndarray = np.arange(total + 1) * task.step_s
-        self._count, self._held = count, self.last + task.hold_steps
-        self._retreat = {name: np.asarray(task.retreat_m.get(name, (0.0, 0.0, 0.0))) for name in self._approach}
-        share = np.linspace(0.0, 1.0, task.retreat_steps + 1)[1:]
-        self._drawn = share**2 * (3.0 - 2.0 * share)  # starts and ends at rest
+        then = task.afterwards
+        self._retreat = {name: np.asarray(then.retreat_m.get(name, (0.0, 0.0, 0.0))) for name in self._approach}
+        back = round(then.retreat_s / task.step_s)
+        rest = np.ones(round(then.rest_s / task.step_s))
+        self._drawn: np.ndarray = np.append(minimum_jerk(np.arange(1, back + 1) / max(back, 1)), rest)
+        self.times: np.ndarray = np.arange(self.last + len(self._drawn) + 1) * task.step_s
         self._offsets: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         spans: dict[str, HandSpan] = {}
         for name, hand in self._hands.items():
@@ -211,7 +223,7 @@ class ActionSpace:
                 turns[acting] = (way.turn * Rotation.from_quat(turns[self.first])).as_quat()
             positions[self.last + 1 :] = positions[self.last]
             turns[self.last + 1 :] = turns[self.last]
-            positions[self._held + 1 :] += self._drawn[:, None] * self._retreat[finger]
+            positions[self.last + 1 :] += self._drawn[:, None] * self._retreat[finger]
             out[finger] = PoseTrajectory.from_samples(self.times, positions, turns, source=finger)
         return out
 

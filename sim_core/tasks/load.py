@@ -11,7 +11,7 @@ from sim_core.errors import ConfigError, nearest_match
 from sim_core.rigs import Rig, Sheet, load_rig, with_parameters
 from sim_core.rigs.load import find_config, names_in
 from sim_core.rigs.yamlfile import read_mapping, validate
-from sim_core.tasks.schema import Actions, Stop, Task, Variant, check_names
+from sim_core.tasks.schema import Actions, Conditions, Stop, Task, Variant, check_names
 
 DEFAULT_VARIANT = "real"
 
@@ -42,6 +42,11 @@ class MadeTask:
     def stop(self) -> Stop:
         """When a rollout ends early."""
         return self.variant.stop or self.task.stop
+
+    @property
+    def conditions(self) -> Conditions:
+        """What is asked of a success besides the reward."""
+        return self.variant.conditions or self.task.conditions
 
     @property
     def has_coarse(self) -> bool:

@@ -14,7 +14,7 @@ theta_e it is sum_e l_e theta_e / W, the mean of the hinges' plastic angles, and
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -48,12 +48,14 @@ class Seen:
 @dataclass(frozen=True)
 class Scored:
     """A reward and its derivatives by what it is made of, in the same shapes; what is left out counts as zero.
-    ``holds``: whether what a success asks besides a high reward is so."""
+    ``holds``: whether what a success asks besides a high reward is so; ``sought`` by name: where observed points are to
+    be at the end, in the base frame [m] ``(k, 3)``, to be drawn."""
 
     reward: float
     by_points: Mapping[str, np.ndarray]
     by_folds: Mapping[str, float]
     holds: bool = True
+    sought: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 Reward = Callable[[Seen], Scored]
@@ -108,6 +110,11 @@ class Measure:
         }
         folds = {name: weights.angle(memory) for name, weights in self._folds.items()}
         return Seen(times, points, folds, self._acting, self._made.settings, self._target)
+
+    def middle(self, name: str, reading: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Mean of observed points in the base frame [m] ``(3,)``."""
+        origin, rotation = self._frames[name]
+        return np.asarray(origin + rotation @ reading[f"{POINTS}{name}"].mean(axis=0))
 
     def back(self, scored: Scored) -> tuple[dict[str, np.ndarray], dict[str, dict[str, np.ndarray]]]:
         """Derivatives by readings, and by internal variables at the end, of a reward."""

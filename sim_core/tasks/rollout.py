@@ -12,14 +12,18 @@ import numpy as np
 from sim_core.errors import ConfigError, ConvergenceError, nearest_match
 from sim_core.gradients.adjoint import Backward
 from sim_core.gradients.tape import Tape
+from sim_core.postprocess import lay_out, surfaces
 from sim_core.rigs import Rig, with_parameters
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import Scene, build_scene
 from sim_core.simulate import Simulation, Trace, run
+from sim_core.solve.state import State
 from sim_core.tasks.actions import ActionSpace
-from sim_core.tasks.episode import EarlyStop, Episode, Watch
+from sim_core.tasks.episode import EarlyStop, Episode, Watch, frames_at
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.measure import Measure, Reward, Scored, Seen, instrumented
+from sim_core.tasks.rest import resting_state
+from sim_core.trajectories import planned_path
 
 STOPPED = -1e9
 """Fitness of a rollout that ended at once; it rises with the steps that were made, and is below that of all others."""
@@ -66,20 +70,49 @@ def reward_of(name: str) -> Reward:
 
 class TaskRollouts:
     """Makes rollouts of one task, one after the other, in one scene. What a rollout gives does not depend on those
-    before. ``coarse``: with the cells of searches. ``episode``: the rollout that is being made, or was made last
-    without a gradient; ``fingers``: end effectors that the hands move."""
+    before. ``coarse``: with the cells of searches; ``finer``: number of steps in each of the task, with as many cells
+    in the place of each; ``target``: positions to be reached, by default those that the task draws. ``episode``: the
+    rollout that is being made, or was made last without a gradient; ``times`` [s] of its steps; ``fingers``: end
+    effectors that the hands move."""
 
-    def __init__(self, made: MadeTask, coarse: bool = False) -> None:
-        self.made = made
+    def __init__(
+        self,
+        made: MadeTask,
+        coarse: bool = False,
+        *,
+        finer: int = 1,
+        target: Mapping[str, np.ndarray] | None = None,
+    ) -> None:
+        self.made, self._finer = made, finer
         self.space = ActionSpace(made)
         self._reward = reward_of(made.task.reward)
         self.rig: Rig = instrumented(made, made.coarse_rig if coarse else made.rig)
-        self.scene: Scene = build_scene(self.rig)
+        self.scene: Scene = build_scene(self.rig, finer)
         _take_weight(self.scene, made.variant.weightless)
-        self.episode = Episode(Simulation(self.scene), self.space.times)
+        self.times: np.ndarray = np.linspace(0.0, self.space.times[-1], finer * (len(self.space.times) - 1) + 1)
         self.fingers = [f for hand in made.actions.hands.values() for f in hand.fingers]
-        self._target = self._make_target()
-        self._measure = Measure(made, self.scene, self.space.first, self._target)
+        self._limits = {f: self.rig.end_effectors[f].limits for f in self.fingers}
+        self._tops = {body: _box_around(self.rig, body) for body in made.stop.over.values()}
+        self._rests: dict[tuple[tuple[str, float], ...], State | None] = {}
+        self._rest = self._resting({})
+        self.episode = Episode(Simulation(self.scene, begin=self._rest), self.times)
+        self._measure = Measure(made, self.scene, self.space.first, {})
+        self.target = self._make_target() if target is None else target
+        """Positions of observed points at the end that are to be reached, by name, where the task has some."""
+        self._measure = Measure(made, self.scene, self.space.first, self.target)
+
+    def _resting(self, parameters: Mapping[str, float]) -> State | None:
+        """The state at rest in which rollouts with these parameters begin; None where the scene settles by itself."""
+        space, held = self.space, self.made.task.begins == "held"
+        if self.scene.all_held and not held:
+            return None
+        key = tuple(sorted(parameters.items()))
+        if key not in self._rests:
+            begin = space.grip if held else space.poses(np.zeros(space.size))
+            count = len(next(iter(begin.values())).times) if held else 1
+            frames = [frames_at(begin, k) for k in range(count)]
+            self._rests[key] = resting_state(self.scene, frames[0], self.made.task.step_s, frames[1:])
+        return self._rests[key]
 
     def _make_target(self) -> dict[str, np.ndarray]:
         """Points at the end of a motion drawn at random, for tasks that are to reach a shape: with the setting
@@ -108,16 +141,16 @@ class TaskRollouts:
         """Positions of the observed points at the end; none where the rollout ends early."""
         if self._forward(self.poses(action)):
             return {}
-        seen = self.episode.seen(Measure(self.made, self.scene, self.space.first, {}))
+        seen = self.episode.seen(self._measure, self._finer)
         return {name: p[-1] for name, p in seen.points.items()}
 
     def _forward(self, poses: Mapping[str, PoseTrajectory]) -> str:
         """Make a whole rollout as the :attr:`episode`. Gives why it ended early; empty where it did not."""
         self.begin(poses)
-        return self.advance(poses, len(self.space.times) - 1)
+        return self.advance(poses, len(self.times) - 1)
 
     def begin(self, poses: Mapping[str, PoseTrajectory]) -> None:
-        """Begin an :attr:`episode`, at rest where the poses begin."""
+        """Begin an :attr:`episode`, at rest."""
         self.episode.begin(poses, self._watch())
 
     def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> str:
@@ -125,7 +158,7 @@ class TaskRollouts:
         try:
             self.episode.advance(poses, to)
         except ConvergenceError as error:
-            at = self.space.times[self.episode.at + 1]
+            at = self.times[self.episode.at + 1]
             return f"the step at {at:.3f} s did not converge: {error.problem}"
         except EarlyStop as stop:
             return str(stop)
@@ -133,25 +166,34 @@ class TaskRollouts:
 
     def scored(self) -> Scored:
         """The reward of the :attr:`episode` as if it ended now."""
-        return self._reward(self.episode.seen(self._measure))
+        return self._reward(self.episode.seen(self._measure, self._finer))
 
     def successful(self, scored: Scored) -> bool:
-        """Whether a rollout with this reward is a success."""
+        """Whether a rollout with this reward is a success, as far as that can be told without
+        :class:`sim_core.tasks.check.Checker`."""
         return scored.reward >= self.made.variant.success and scored.holds
 
     def _watch(self) -> Watch:
-        stop, first = self.made.stop, self.space.first
-        return Watch(stop, self.fingers, self.space.times, range(first + stop.touching_from, self.space.last + 1))
+        stop, fine, measure = self.made.stop, self._finer, self._measure
+        touching = range(fine * (self.space.first + stop.touching_from), fine * self.space.last + 1)
+        return Watch(stop, self._limits, self.times, touching, measure.middle, self._tops)
 
     def use(self, parameters: Mapping[str, float]) -> None:
         """Take values of named parameters of the rig, in place of those that it has."""
         self.scene.use(with_parameters(self.rig, parameters))
         self.scene.system.loads[:] = 0.0
         _take_weight(self.scene, self.made.variant.weightless)
+        self._rest = self._resting(parameters)
+        self.episode.simulation.begin = self._rest
 
     def poses(self, action: np.ndarray) -> dict[str, PoseTrajectory]:
-        """Poses of all end effectors as they are executed for an action ``(size,)``, within the limits of the hands."""
-        return self.space.poses(self.space.executable(action))
+        """Poses of all end effectors at :attr:`times` as they are executed for an action ``(size,)``, within the limits
+        of the hands."""
+        poses = self.space.poses(self.space.executable(action))
+        if self._finer == 1:
+            return poses
+        curves = {name: planned_path(self.space.times, pose) for name, pose in poses.items()}
+        return {n: PoseTrajectory.from_samples(self.times, *c.sample(self.times), source=n) for n, c in curves.items()}
 
     def outcome(self, action: np.ndarray) -> Outcome:
         """Of one action ``(size,)``."""
@@ -163,26 +205,27 @@ class TaskRollouts:
         return self._whole(self.scored(), episode.watch.force_n, began, None)
 
     def gradient(self, action: np.ndarray) -> Outcome:
-        """The outcome of an action with the gradient of its reward; without it where the rollout ends early."""
+        """The outcome of an action with the gradient of its reward; without it where the rollout ends early. Not of
+        rollouts with finer steps."""
         began, watch = time.thread_time(), self._watch()
         try:
-            tape = Tape(self.scene, self.poses(action), self.space.times, watch=watch)
+            tape = Tape(self.scene, self.poses(action), self.times, watch=watch, begin=self._rest)
         except ConvergenceError as error:
             return self._early(f"a step did not converge: {error.problem}", watch.steps, watch.force_n, began)
         except EarlyStop as stop:
             return self._early(str(stop), watch.steps, watch.force_n, began)
-        scored = self._reward(self._measure.seen(self.space.times, tape.trace.outputs, tape.end.internals))
+        scored = self._reward(self._measure.seen(self.times, tape.trace.outputs, tape.end.internals))
         readings, memory = self._measure.back(scored)
         found = Backward(tape, []).gradient(scored.reward, readings, memory)
         slope = self.space.pull(self.space.executable(action), found.poses)
         return self._whole(scored, watch.force_n, began, self.space.pull_executable(action, slope))
 
     def _early(self, reason: str, steps: int, most: float, began: float) -> Outcome:
-        share = steps / (len(self.space.times) - 1)
+        share = steps / (len(self.times) - 1)
         return Outcome(float("nan"), False, share, reason, most, steps, time.thread_time() - began)
 
     def _whole(self, scored: Scored, most: float, began: float, slope: np.ndarray | None) -> Outcome:
-        steps = len(self.space.times) - 1
+        steps = len(self.times) - 1
         return Outcome(scored.reward, self.successful(scored), 1.0, "", most, steps, time.thread_time() - began, slope)
 
     def seen(self, action: np.ndarray) -> tuple[Seen, float]:
@@ -190,8 +233,13 @@ class TaskRollouts:
         reason = self._forward(self.poses(action))
         if reason:
             raise ConvergenceError(f"The rollout of {self.made.name} ended early: {reason}.", "Choose another action.")
-        seen = self.episode.seen(self._measure)
+        seen = self.episode.seen(self._measure, self._finer)
         return seen, self._reward(seen).reward
+
+    def sought(self) -> dict[str, np.ndarray]:
+        """Where observed points are to be at the end of the :attr:`episode` [m] ``(k, 3)``, by name, where the reward
+        says it."""
+        return dict(self.scored().sought)
 
     def trace(self, action: np.ndarray, parameters: Mapping[str, float] | None = None) -> Trace:
         """The rollout of an action with its states, on the rig with its own sensors and cameras, weights included.
@@ -200,13 +248,22 @@ class TaskRollouts:
         """
         scene = build_scene(with_parameters(self.made.rig, parameters or {}))
         _take_weight(scene, self.made.variant.weightless)
-        return run(Simulation(scene), self.poses(action), self.space.times, keep_states=True)
+        self.use(parameters or {})
+        return run(Simulation(scene, begin=self._rest), self.poses(action), self.space.times, keep_states=True)
 
 
 def _distance(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
     """Root mean square distance of points [m]."""
     squares = np.concatenate([((one[name] - other[name]) ** 2).sum(axis=1) for name in one])
     return float(np.sqrt(squares.mean()))
+
+
+def _box_around(rig: Rig, body: str) -> np.ndarray:
+    """Lower and upper corner of the box around a body at the start [m] ``(2, 3)``."""
+    layout = lay_out(rig)
+    surface = next(s for s in surfaces(layout) if s.body == body)
+    vertices = surface.vertices(layout, layout.rest, layout.start)
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
 def _take_weight(scene: Scene, bodies: tuple[str, ...]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs import Affine, Box, Rectangle, Rig, Sheet
+from sim_core.rigs import Affine, Box, Rectangle, Rig, Rigid, Sheet
 from sim_core.rigs.fields import FloatArray, Interval, Name, NonNegative, Real, Strict, Text, Vector, of_length, trouble
 from sim_core.rigs.motion import Motion
 
@@ -22,6 +22,8 @@ StepLength = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le
 StepTurn = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 StepLengths = Annotated[tuple[StepLength, StepLength, StepLength], of_length(3)]
 StepTurns = Annotated[tuple[StepTurn, StepTurn, StepTurn], of_length(3)]
+Seconds = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=60.0)]
+Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1.0)]
 Steps = Annotated[int, Field(strict=True, ge=1, le=5000)]
 Grid = Annotated[tuple[Annotated[int, Field(strict=True, ge=1, le=200)], ...], Field(min_length=1, max_length=3)]
 
@@ -91,12 +93,51 @@ class FoldLine(Strict):
 
 
 class Stop(Strict):
-    """When a rollout ends early and does not count: a finger bears more than ``most_force_n``, or, from the step
-    ``touching_from`` of the actions on, no finger bears more than ``least_force_n``."""
+    """When a rollout ends early and does not count: a finger bears more than ``most_force_n`` or than its hand is
+    allowed to; or, from the step ``touching_from`` of the actions on, no finger bears more than ``least_force_n``; or
+    the middle of observed points is not ``over`` a rigid body: beside it, or below its top."""
 
     most_force_n: Positive = 10.0
     least_force_n: NonNegative = 0.0
     touching_from: Annotated[int, Field(strict=True, ge=0)] = 10
+    over: dict[Name, Name] = Field(default={}, description="rigid bodies by names of observed points")
+
+
+class Afterwards(Strict):
+    """What the hands do when the motion is done, before the reward counts: each end effector is drawn back by
+    ``retreat_m`` within ``retreat_s``, and then all rest for ``rest_s``."""
+
+    retreat_m: dict[Name, Vector] = Field(default={}, description="in the base frame, by end effector, in m")
+    retreat_s: Seconds = Field(default=0.0, description="in s")
+    rest_s: Seconds = Field(default=0.0, description="in s")
+
+    @model_validator(mode="after")
+    def _retreats(self) -> Afterwards:
+        if bool(self.retreat_m) != bool(self.retreat_s):
+            raise trouble("stands without retreat_s, or that without it.", "Give both or neither.", "retreat_m")
+        return self
+
+
+class Conditions(Strict):
+    """What a person would see at the end, besides the reward. ``rests_on``: bodies of which another one bears more than
+    half of the weight; ``apart``: pairs of bodies that do not touch."""
+
+    rests_on: dict[Name, Name] = Field(default={}, description="by body: what it rests on")
+    apart: tuple[tuple[Name, Name], ...] = Field(default=(), description="pairs of bodies")
+
+    def words(self) -> list[str]:
+        """Each of them in words."""
+        rest = [f"{body} rests on {under}" for body, under in self.rests_on.items()]
+        return [*rest, *(f"{one} and {other} are apart" for one, other in self.apart)]
+
+
+class Published(Strict):
+    """What the source of a variant says of it: rewards that a person reached and that could be reached at best, and the
+    share of searches that had a success."""
+
+    human: Real
+    oracle: Real
+    success_rate: Share
 
 
 class Start(Strict):
@@ -119,11 +160,14 @@ class Variant(Strict):
     settings: dict[Name, Real | tuple[Real, ...]] = Field(default={})
     actions: Actions | None = Field(default=None, description="actions in place of those of the task")
     stop: Stop | None = Field(default=None, description="early stop in place of that of the task")
+    conditions: Conditions | None = Field(default=None, description="conditions in place of those of the task")
+    published: Published | None = Field(default=None, description="what the source says")
 
 
 class Task(Strict):
-    """One task. ``approach``: motions by end effector before the hands act, as in experiments; ``retreat_m``: by how
-    much each end effector is drawn back afterwards, within ``retreat_steps``; ``hold_steps``: steps at rest at the end.
+    """One task. It begins at rest: with the hands where the rig has them, from where they make the ``approach``,
+    motions by end effector as in experiments; or, what they have to hold, with the approach made (``begins: held``).
+    ``conditions``: what is asked of a success besides the reward, at the end of what is done ``afterwards``.
     """
 
     name: Name = Field(description="short name, as in the file's name")
@@ -132,10 +176,10 @@ class Task(Strict):
     reward: Name = Field(description="module in sim_core.tasks.rewards")
     step_s: Positive = Field(description="time of one step in s")
     approach: dict[Name, tuple[Motion, ...]] = Field(default={})
+    begins: Literal["free", "held"] = Field(default="free", description="free: with the approach; held: after it")
     actions: Actions
-    hold_steps: Annotated[int, Field(strict=True, ge=0, le=5000)] = 0
-    retreat_steps: Annotated[int, Field(strict=True, ge=0, le=5000)] = 0
-    retreat_m: dict[Name, Vector] = Field(default={})
+    afterwards: Afterwards = Afterwards()
+    conditions: Conditions = Conditions()
     points: dict[Name, ObservedPoints] = Field(default={})
     folds: dict[Name, FoldLine] = Field(default={})
     stop: Stop = Stop()
@@ -148,8 +192,6 @@ class Task(Strict):
     def _observes(self) -> Task:
         if not self.points and not self.folds:
             raise trouble("has neither points nor folds.", "Say what the reward is made of.", "points")
-        if bool(self.retreat_m) != bool(self.retreat_steps):
-            raise trouble("stands without retreat_steps, or they without it.", "Give both or neither.", "retreat_m")
         return self
 
 
@@ -175,7 +217,7 @@ def check_names(task: Task, variant: Variant, rig: Rig, source: str) -> None:
                     "Let each end effector be of one hand.",
                 )
             taken[finger] = name
-    for place, names in (("approach", task.approach), ("retreat_m", task.retreat_m)):
+    for place, names in (("approach", task.approach), ("afterwards.retreat_m", task.afterwards.retreat_m)):
         for name in names:
             known(name, place, effectors, "end effector")
     for name, points in task.points.items():
@@ -204,3 +246,18 @@ def check_names(task: Task, variant: Variant, rig: Rig, source: str) -> None:
         known(name, "start", affine, "affine body")
     for name in task.coarse:
         known(name, "coarse", sheets, "sheet")
+    rigid = [n for n, b in rig.bodies.items() if isinstance(b, Rigid)]
+    for name, under in (variant.stop or task.stop).over.items():
+        known(name, "stop.over", list(task.points), "set of observed points of the task, and no body")
+        known(under, f"stop.over.{name}", rigid, "rigid body")
+    conditions = variant.conditions or task.conditions
+    for place, pairs in (("rests_on", conditions.rests_on.items()), ("apart", conditions.apart)):
+        for pair in pairs:
+            for name in pair:
+                known(name, f"conditions.{place}", list(rig.bodies), "body")
+            if rig.contact(*pair) is None:
+                raise ConfigError(
+                    f"{source}: conditions.{place} names {pair[0]!r} and {pair[1]!r}, between which the rig "
+                    f"{rig.name!r} has no contact.",
+                    "Declare the contact in the rig.",
+                )

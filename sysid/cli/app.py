@@ -34,6 +34,7 @@ from sysid.cli import (
     presses,
     prove,
     rigs,
+    robust,
     settings,
     show,
     simulate,
@@ -98,6 +99,7 @@ app.command("experiments")(experiments.experiments)
 app.command("tasks")(tasks.tasks)
 app.command("optimise")(optimise.optimise)
 app.command("benchmark")(benchmark.benchmark)
+app.command("robust")(robust.robust)
 app.command("inverse")(inverse.inverse)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)

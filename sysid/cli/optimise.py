@@ -50,7 +50,7 @@ def optimise(
     from sim_core.optimise import optimise as search
     from sim_core.optimise.posterior import posterior_draws
     from sim_core.tasks import load_task
-    from sysid.report.optimisation_curve import write_curve
+    from sysid.report.optimisation_curve import draw_curves
 
     made = load_task(task)
     method_named(method)
@@ -67,19 +67,24 @@ def optimise(
     )
     with progress(f"optimise {made.name}") as report:
         result = search(made, settings, out, report)
-    write_curve(out / "curve.png", [(method, result)], made)
+    draw_curves(out / "curve.png", [(method, result.curve)], made)
     if as_json:
         print(result.to_json())
         return
     verdict = "success" if result.success else "no success"
     print(f"{made.name}, {method}, seed {seed}: reward {result.reward:.5g}, {verdict} (from {made.variant.success:g})")
+    for words in result.failures:
+        print(f"  no success, since {words}")
     print(f"  success is: {made.variant.words}")
     if chosen:
         print(f"  over {len(chosen)} draws: {result.searched_reward:.5g}, {100 * result.success_share:.0f} % successes")
     elif made.has_coarse:
         print(f"  with the coarser cells of the search: {result.searched_reward:.5g}")
-    first = "none was a success" if result.to_success is None else f"the first success after {result.to_success}"
-    print(f"  {result.rollouts} rollouts ({first}), {result.cpu_s:.0f} s of process time, {result.wall_s:.0f} s in all")
+    first = "none had the reward" if result.to_success is None else f"the first with the reward: {result.to_success}"
+    print(
+        f"  {result.rollouts} rollouts ({first}), {result.cpu_s:.0f} s of process time and "
+        f"{result.check_s:.0f} s for checks, {result.wall_s:.0f} s in all"
+    )
     print(f"  largest force on a finger {result.force_n:.3g} N; written: {out}")
     if result.interrupted:
         print("  interrupted: the same command goes on from here")

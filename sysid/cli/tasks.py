@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,7 +18,7 @@ def tasks(
     from sim_core.tasks import load_task, read_task, task_names
     from sim_core.tasks.actions import ActionSpace
 
-    found = []
+    found: list[dict[str, Any]] = []
     for name in task_names():
         task = read_task(name)
         for variant in task.variants:
@@ -31,6 +31,7 @@ def tasks(
                     "rig": task.rig,
                     "success": made.variant.words,
                     "least_reward": made.variant.success,
+                    "conditions": made.conditions.words(),
                     "actions": space.size,
                     "steps": len(space.times) - 1,
                     "duration_s": float(space.times[-1]),
@@ -40,8 +41,9 @@ def tasks(
         print(json.dumps(found, indent=2))
         return
     for row in found:
+        asked = "".join(f"; {words}" for words in row["conditions"])
         print(
             f"{row['task']:20s} {row['title']}\n{'':20s} success: {row['success']} "
-            f"(reward from {row['least_reward']:g})\n{'':20s} rig {row['rig']}, {row['actions']} numbers, "
+            f"(reward from {row['least_reward']:g}{asked})\n{'':20s} rig {row['rig']}, {row['actions']} numbers, "
             f"{row['steps']} steps, {row['duration_s']:.3g} s"
         )

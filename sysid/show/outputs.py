@@ -57,7 +57,8 @@ def show(
     coloured_by = chosen(subject, coloured, by)
     out.mkdir(parents=True, exist_ok=True)
     say(SIMULATED, "picture")
-    Image.fromarray(draw(subject, coloured_by, telling_step(subject, coloured_by))).save(out / PICTURE, optimize=True)
+    step = len(subject.times) - 1 if subject.sought else telling_step(subject, coloured_by)
+    Image.fromarray(draw(subject, coloured_by, step)).save(out / PICTURE, optimize=True)
     say(SIMULATED + 0.05, "page")
     (out / PAGE).write_text(page(subject, coloured), encoding="utf-8")
     for kind in ("gif", "mp4"):

@@ -66,7 +66,7 @@ def _packed(subject: Subject, coloured: dict[str, Colouring], steps: np.ndarray)
         s.body: np.stack([s.vertices(subject.layout, subject.states.positions[k], subject.frames[k]) for k in steps])
         for s in subject.skins
     }
-    everything = np.vstack([v.reshape(-1, 3) for v in vertices.values()])
+    everything = np.vstack([*(v.reshape(-1, 3) for v in vertices.values()), *subject.sought.values()])
     centre = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
     unit = float(np.abs(everything - centre).max()) / STEPS
 
@@ -110,6 +110,7 @@ def _packed(subject: Subject, coloured: dict[str, Colouring], steps: np.ndarray)
             n: {**coordinates(_at(m, subject, steps)), "residual": _residual(subject, n, steps)}
             for n, m in subject.markers.items()
         },
+        "sought": {n: coordinates(points[None]) for n, points in subject.sought.items()},
         "cameras": {n: _camera(subject, n, steps, coordinates) for n in subject.rig.cameras},
         "pairs": _pairs(subject, steps),
         "wrenches": _wrenches(subject, steps),

@@ -24,6 +24,7 @@ from sysid.show.style import (
     MUTED,
     PAPER_BOTTOM,
     PAPER_TOP,
+    SOUGHT,
     colour_table,
     rgb,
     round_length,
@@ -45,6 +46,8 @@ CAMERAS = 2
 
 FINDING_WIDTH, FINDING_LINES = 185, 3
 """Letters of a line of what looks wrong, and such lines."""
+
+SOUGHT_WORDS = "where it is to be in the end"
 
 ARROWS_PX = 18.0
 """Length in the camera's picture, in pixels of the drawing, to which the largest displacement of a marker is drawn."""
@@ -104,6 +107,9 @@ class Board:
         self._titles()
         if self.coloured is not None:
             self._scale()
+        if subject.sought:
+            self._main.text(0.015, 0.975, f"\u25cb {SOUGHT_WORDS}", transform=self._main.transAxes, fontsize=8.5,
+                            color=SOUGHT, va="top", zorder=9)  # fmt: skip
 
     def _marks_every_camera(self, points: np.ndarray, towards: np.ndarray, up: np.ndarray) -> None:
         """The view from afar holds all cameras and mounts as well."""
@@ -156,12 +162,14 @@ class Board:
         if self.small:
             return
         text(0.012, 0.937, _cut(subject.rig.description, 150), fontsize=10, color=MUTED, va="top")
-        rows = [(self.scenery.colours[s.body], s.body, body_words(subject.rig, s.body)) for s in subject.skins]
+        rows = [(self.scenery.swatch(s), s.body, body_words(subject.rig, s.body)) for s in subject.skins]
         wide = 0.012 + 0.0062 * max(len(name) for _, name, _ in rows)
         room = 66 if len(rows) <= 4 else 62 - max(len(name) for _, name, _ in rows)
-        for k, (colour, name, words) in enumerate(rows[:8]):
+        for k, (swatch, name, words) in enumerate(rows[:8]):
             x, y = 0.012 + 0.33 * (k // 4), 0.150 - 0.026 * (k % 4)
-            text(x, y, "\u25a0", color=colour, fontsize=12, va="center")
+            square = self.figure.add_axes((x, y - 0.007, 0.009, 0.0144))
+            square.imshow(swatch[None], aspect="auto")
+            square.set_axis_off()
             text(x + 0.013, y, name, fontsize=9, weight="bold", va="center")
             text(x + 0.013 + wide, y, _cut(words, room), fontsize=8.5, color=MUTED,
                  va="center")  # fmt: skip
@@ -271,6 +279,10 @@ class Board:
                 self._lines(axes, view.lines(cone(camera, frame, reach)), 5, colors=CAMERA, linewidths=width,
                             alpha=alpha)  # fmt: skip
             self._label(axes, view.project(frame[0][None])[0][0], name, CAMERA, view, 8.0, (7, -9))
+        for points in subject.sought.values():
+            pixel, _ = view.project(points)
+            self._keep(axes.scatter(*pixel.T, s=16.0 if names else 5.0, facecolors="none", edgecolors=SOUGHT,
+                                    linewidths=0.8 if names else 0.4, zorder=4.5))  # fmt: skip
         for marks in [*subject.markers.values(), *subject.tracks.values()]:
             points = marks.positions(subject.states.positions[step])
             pixel, depth = view.project(points)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sim_core.errors import ThinshellError
+from sim_core.postprocess import Surface
 from sim_core.preflight.distance import sampled
 from sim_core.rigs import OrthographicCamera, Rigid
 from sim_core.rigs.observers import Camera
@@ -16,7 +17,7 @@ from sim_core.scene.assembly import held_nodes
 from sim_core.scene.scene import Frame
 from sysid.show.colouring import Colouring
 from sysid.show.raster import Skin, View
-from sysid.show.style import BOND, CLAMP, GEL_ALPHA, body_colours, by_value, rgb
+from sysid.show.style import BOND, CLAMP, GEL_ALPHA, PAPER_TOP, body_colours, by_value, colour_table, rgb
 from sysid.show.subject import Subject
 
 PLANE_CELLS = 24
@@ -45,12 +46,22 @@ def held_vertices(subject: Subject) -> dict[str, np.ndarray]:
 
 
 class Scenery:
-    """Surfaces of a subject, coloured by body or by a quantity."""
+    """Surfaces of a subject, coloured by body or by a quantity. ``colours``: of bodies."""
 
     def __init__(self, subject: Subject, coloured: Colouring | None) -> None:
         self.subject, self.coloured = subject, coloured
         self.colours = body_colours(subject.skins)
         self._held = held_vertices(subject)
+
+    def swatch(self, surface: Surface) -> np.ndarray:
+        """What a legend shows for a body, RGB ``(n, 3)`` from left to right: the colour in which it is drawn on paper,
+        or the scale of the quantity."""
+        if self.coloured is not None and surface.nodes is not None:
+            return colour_table()
+        alpha = {"gel": GEL_ALPHA}.get(surface.kind, 1.0)
+        if self.coloured is not None and surface.kind == "rigid":
+            alpha = GHOST
+        return np.asarray(alpha * rgb(self.colours[surface.body]) + (1.0 - alpha) * rgb(PAPER_TOP))[None]
 
     def skins(self, step: int, camera: str | None = None) -> list[Skin]:
         """What is drawn at one instant; for the eye of a camera without the faces that it looks through."""

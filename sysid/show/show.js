@@ -87,7 +87,7 @@
     return { ...b, triangles, states: unpack(b.positions), values, colour: rgb(b.colour), shown: true, all: index(triangles), free: index(new Uint16Array(free)), edges: index(pairs),
       place: gl.createBuffer(), normal: gl.createBuffer(), share: gl.createBuffer(), flags, soft: b.kind === "gel" || b.kind === "sheet" };
   });
-  for (const group of [head.markers, head.cameras]) for (const n in group) group[n].states = unpack(group[n].points ?? group[n]);
+  for (const group of [head.markers, head.cameras, head.sought]) for (const n in group) group[n].states = unpack(group[n].points ?? group[n]);
   const dotBuffer = gl.createBuffer();
 
   // ---- state of the page
@@ -163,10 +163,10 @@
       gl.depthFunc(gl.LEQUAL); paint(b, b.kind === "rigid" ? 0.3 : quantity === "" ? 0.62 : 0.9, b.all);
     }
     if (mount === null && wanted.points) {
-      const colour = rgb(getComputedStyle(document.documentElement).getPropertyValue("--marker").trim());
+      const variable = (name) => rgb(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
       gl.useProgram(dots.p); gl.uniformMatrix4fv(dots.clip, false, clip); gl.uniform1f(dots.size, 5.5 * pixels);
-      for (const group of [head.markers, head.cameras]) for (const n in group) {
-        const p = at(group[n].states, step);
+      for (const group of [head.markers, head.cameras, head.sought]) for (const n in group) {
+        const p = at(group[n].states, step), colour = variable(group === head.sought ? "--sought" : "--marker");
         gl.bindBuffer(gl.ARRAY_BUFFER, dotBuffer); gl.bufferData(gl.ARRAY_BUFFER, p, gl.DYNAMIC_DRAW);
         gl.enableVertexAttribArray(0); gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0); for (const s of [1, 2, 3]) gl.disableVertexAttribArray(s);
         for (const [test, alpha] of [[false, 0.3], [true, 1]]) { gl[test ? "enable" : "disable"](gl.DEPTH_TEST); gl.uniform4f(dots.colour, ...colour, alpha); gl.drawArrays(gl.POINTS, 0, p.length / 3); }
@@ -273,10 +273,12 @@
     $("chart-key").innerHTML = ["x", "y", "z"].map((n, k) => `<span class="key" style="--c: ${colours3[k]}">${n} ${(wrench.force[step][k] ?? 0).toFixed(3)}</span>`).join("") + (wrench.measured ? "dotted: as measured" : "");
   };
 
+  const scale = `linear-gradient(90deg, ${Array.from({ length: 9 }, (_, k) => { const i = 3 * Math.round(k / 8 * (width - 1)); return `rgb(${table[i]},${table[i + 1]},${table[i + 2]})`; }).join(",")})`;
   const words = () => {
     if (count > 1) { $("clock").textContent = `${head.times[step].toFixed(2)} s`; $("time").value = step; }
     const q = head.quantities[quantity]; $("scale").hidden = !q;
-    if (q) { $("scale-name").textContent = `${quantity} [${q.unit}]`; $("scale-name").title = q.words; $("scale-top").textContent = q.top; $("scale-bar").style.background = `linear-gradient(90deg, ${Array.from({ length: 9 }, (_, k) => { const i = 3 * Math.round(k / 8 * (width - 1)); return `rgb(${table[i]},${table[i + 1]},${table[i + 2]})`; }).join(",")})`; }
+    if (q) { $("scale-name").textContent = `${quantity} [${q.unit}]`; $("scale-name").title = q.words; $("scale-top").textContent = q.top; $("scale-bar").style.background = scale; }
+    document.querySelectorAll("[data-swatch]").forEach((s) => { const b = head.bodies[s.dataset.swatch]; s.style.background = q && b.kind !== "rigid" && b.kind !== "plane" ? scale : b.colour; });
   };
   let last = 0;
   const frame = (now) => {

@@ -21,6 +21,9 @@ GEL_ALPHA = 0.62
 """Opacity of a gel in its own colour: what is in and behind it shows through."""
 
 MARKER, MEASURED, CLAMP, BOND = "#15304f", "#d6336c", "#c2410c", "#0f766e"
+SOUGHT = "#0a8f3c"
+"""Of where points are to be at the end."""
+
 AXES = ("#d62839", "#2b9348", "#1d4ed8")
 CAMERA, WRENCH, INK, MUTED, BAD = "#6d28d9", "#0f766e", "#17202b", "#5b6673", "#b3261e"
 PAPER_TOP, PAPER_BOTTOM = "#ffffff", "#e9edf2"

@@ -45,9 +45,11 @@ class Marks:
 
 @dataclass(frozen=True)
 class Subject:
-    """``times`` [s] ``(n,)`` and the ``states`` then; ``frames``: of the mounts; ``markers`` of marker sensors and
-    ``tracks`` of cameras by name; ``wrenches`` [N, N m] ``(n, 6)`` by sensor, and those ``measured_wrenches`` that a
-    recording has; ``findings``: what looks wrong, in words; ``what``: 'rig', 'experiment', 'recording' or 'trace'."""
+    """A rig with what is drawn of it. ``skins``: surfaces of its bodies; ``times`` [s] ``(n,)``, and the ``states`` and
+    ``frames`` of mounts then; ``markers`` of marker sensors and ``tracks`` of cameras by name; ``wrenches`` [N, N m]
+    ``(n, 6)`` by sensor, and those ``measured_wrenches`` that a recording has; ``sought``: where points are to be at
+    the end [m] ``(k, 3)``, by name; ``findings``: what looks wrong, in words; ``what``: 'rig', 'experiment',
+    'recording' or 'trace'."""
 
     rig: Rig
     layout: Layout
@@ -61,6 +63,7 @@ class Subject:
     tracks: dict[str, Marks]
     wrenches: dict[str, np.ndarray] = field(default_factory=dict)
     measured_wrenches: dict[str, np.ndarray] = field(default_factory=dict)
+    sought: dict[str, np.ndarray] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     duration: float = 0.0
 
@@ -217,7 +220,7 @@ def untouched(rig: Rig, states: StateHistory, known: list[Finding]) -> list[Find
 
 def of_trace(rig: Rig, path: Path) -> Subject:
     """A saved trace. Raises ``ConfigError`` where it holds no states, or those of another rig."""
-    from sim_core.trace_file import load_trace
+    from sim_core.trace_file import load_sought, load_trace
 
     trace = load_trace(path)
     layout = lay_out(rig)
@@ -234,10 +237,11 @@ def of_trace(rig: Rig, path: Path) -> Subject:
     wrenches = {n: trace.outputs[n][some] for n, kind in trace.kinds.items() if kind == "wrench"}
     states = trace.states.at(some)
     findings = untouched(rig, states, [])
-    return _subject(
+    found = _subject(
         layout, f"{path.stem} on {rig.name}", "trace", trace.times[some], states, findings, wrenches,
         float(trace.times[-1]),
     )  # fmt: skip
+    return replace(found, sought=load_sought(path))
 
 
 def of_recording(rig: Rig, path: Path, say: Progress) -> Subject:
@@ -285,7 +289,7 @@ def _subject(
     markers, tracks = marks_of(layout)
     return Subject(
         rig, layout, tuple(surfaces(layout)), title, what, times, states, tuple(frames), markers, tracks,
-        wrenches or {}, {}, tuple(findings), duration,
+        wrenches or {}, {}, {}, tuple(findings), duration,
     )  # fmt: skip
 
 

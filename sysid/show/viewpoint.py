@@ -26,9 +26,9 @@ def upward(subject: Subject) -> np.ndarray:
 
 
 def framed(subject: Subject) -> np.ndarray:
-    """Points [m] ``(n, 3)`` that the main picture shows: all that is simulated at all times, and what is near of the
-    rest."""
-    soft: list[np.ndarray] = []
+    """Points [m] ``(n, 3)`` that the main picture shows: all that is simulated at all times, where it is to be, and
+    what is near of the rest."""
+    soft: list[np.ndarray] = list(subject.sought.values())
     hard: list[np.ndarray] = []
     some = np.unique(np.linspace(0, len(subject.times) - 1, 9).round().astype(int))
     for k in some:

@@ -19,13 +19,14 @@ from sim_core.rigs.load import config_folder
 from sim_core.rigs.yamlfile import read_mapping
 from sim_core.sensing.camera import project
 from sysid.cli.app import main
+from sysid.show.colouring import Colouring
 from sysid.show.outputs import PAGE, PICTURE, show
 from sysid.show.page import page
 from sysid.show.payload import payload
 from sysid.show.picture import Board
 from sysid.show.raster import Skin, View, look_at, render
-from sysid.show.scenery import camera_view
-from sysid.show.style import round_length, round_up
+from sysid.show.scenery import Scenery, camera_view
+from sysid.show.style import SOUGHT, by_value, rgb, round_length, round_up
 from sysid.show.subject import resting, still, subject_of
 
 WHITE = np.ones(3)
@@ -123,6 +124,40 @@ def test_the_page_holds_what_it_shows_and_nothing_from_elsewhere(name: str) -> N
     stored = re.search(r'id="head">(.*?)</script>', text, re.DOTALL)
     assert stored is not None
     assert json.loads(stored[1])["title"] == name
+
+
+def test_where_things_are_to_be_is_drawn_in_picture_and_page() -> None:
+    """Beyond all that there is, so that the view has to be wide enough for it, too."""
+    points = np.array([[0.0, 0.0, 0.05], [0.03, 0.0, 0.05]])
+    subject = replace(still(load_rig("gel_sensor")), sought={"block": points})
+    board = Board(subject, None)
+    picture, axes = board.draw(0), board._main.get_window_extent()
+    for x, y in board._view.project(points)[0]:
+        near = picture[round(picture.shape[0] - axes.y1 + y) - 6 :, round(axes.x0 + x) - 6 :][:13, :13].astype(int)
+        assert (np.abs(near - (255 * rgb(SOUGHT)).round()).max(axis=2) < 60).sum() >= 8
+    head, block = payload(subject, {})
+    entry = head["sought"]["block"]
+    whole = np.frombuffer(zlib.decompress(base64.b64decode(block)), np.int16, entry["count"], entry["at"])
+    assert np.abs(whole.reshape(-1, 3) * head["unit"] + head["centre"] - points).max() <= head["unit"]
+    assert "where it is to be in the end" in page(subject, {})
+    assert "where it is to be" not in page(still(load_rig("gel_sensor")), {})
+
+
+def test_a_legend_has_the_colours_in_which_bodies_are_drawn() -> None:
+    subject = still(load_rig("gel_sensor"))
+    kinds = {skin.kind: skin for skin in subject.skins}
+    values = {s.body: np.zeros((1, len(s.local))) for s in subject.skins}
+    coloured = Colouring("pressure", "kPa", "", values, 2.0)
+    plain, valued = Scenery(subject, None), Scenery(subject, coloured)
+    assert len(plain.swatch(kinds["gel"])) == len(plain.swatch(kinds["rigid"])) == 1
+    ends = by_value(np.array([0.0, 2.0]), 2.0)
+    np.testing.assert_allclose(valued.swatch(kinds["gel"])[[0, -1]], ends)
+    drawn = {
+        scenery: scenery.skins(0)[[s.body for s in subject.skins].index(kinds["rigid"].body)]
+        for scenery in (plain, valued)
+    }
+    for scenery, skin in drawn.items():  # over white paper
+        np.testing.assert_allclose(scenery.swatch(kinds["rigid"])[0], skin.alpha * skin.colours[0] + 1.0 - skin.alpha)
 
 
 def test_words_of_a_rig_cannot_break_out_of_the_page() -> None:

@@ -69,7 +69,7 @@ def test_straight_motions_are_of_all_hands_alike_and_of_one_against_the_other() 
     assert motions.shape == (12, space.size)
     ends = []
     for motion in motions[:4]:
-        way = {f: p.positions[-1] - p.positions[space.first] for f, p in space.poses(motion).items()}
+        way = {f: p.positions[space.last] - p.positions[space.first] for f, p in space.poses(motion).items()}
         ends.append([way["left"][0], way["right"][0]])
         assert all(abs(w[1]) + abs(w[2]) == 0.0 for w in way.values())
     whole = 0.001 * 60 * 5 / 6  # the share of the steps that the knots' weights add up to

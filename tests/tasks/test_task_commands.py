@@ -27,10 +27,31 @@ def test_optimise_and_benchmark_write_what_they_print(tmp_path: Path, capsys: py
     first = capsys.readouterr().out
     rows = json.loads((bench / "table.json").read_text())
     assert len(rows) == 1 and rows[0]["rollouts"] == 2 and rows[0]["task"] == "small"
+    page = (bench / "table.html").read_text()
+    assert page.count("data:image/png;base64,") == 1 and page.count("data:image/gif;base64,") == 1
+    assert "1 of 1 runs" in page and f"{rows[0]['rewards'][0]:.4g}" in page
     made_at = (bench / "runs/small_real_gradient_0/result.json").stat().st_mtime_ns
     assert main([*command, "--to-the-end", "--out", str(bench)]) == 0
     assert capsys.readouterr().out == first
     assert (bench / "runs/small_real_gradient_0/result.json").stat().st_mtime_ns == made_at
+
+
+def test_seeds_begin_elsewhere_and_a_table_says_what_was_not_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small_task(tmp_path)
+    bench = tmp_path / "bench"
+    command = ["benchmark", str(tmp_path / "small.yaml"), "--methods", "adam,cma", "--budget", "2", "--workers", "1"]
+    assert main([*command, "--seeds", "2", "--minutes", "0", "--out", str(bench)]) == 0
+    assert "0 of 2 | not run" in capsys.readouterr().out
+    assert not list((bench / "runs").iterdir())
+    assert main([*command, "--seeds", "2", "--out", str(bench)]) == 0
+    assert "not run" not in capsys.readouterr().out
+    starts = {}
+    for run in (bench / "runs").iterdir():
+        starts[run.name] = json.loads((run / "evaluations.jsonl").read_text().splitlines()[0])["action"]
+    assert len(starts) == 4
+    assert starts["small_real_adam_0"] != starts["small_real_adam_1"]
 
 
 @pytest.mark.parametrize(

@@ -21,4 +21,5 @@ def reward(seen: Seen) -> Scored:
     by_ball, by_sheet = np.zeros_like(ball), np.zeros_like(sheet)
     by_ball[..., :2] = (-2.0 * n / ball.shape[1]) * away[:, None]
     by_sheet[..., :2] = (2.0 * n / sheet.shape[1]) * away[:, None]
-    return Scored(-n * float((away**2).sum()), {"ball": by_ball, "sheet": by_sheet}, {})
+    sought = np.array([*sheet[-1, :, :2].mean(axis=0), ball[-1, :, 2].mean()])
+    return Scored(-n * float((away**2).sum()), {"ball": by_ball, "sheet": by_sheet}, {}, sought={"ball": sought[None]})

@@ -17,4 +17,4 @@ def reward(seen: Seen) -> Scored:
     miss = x[-1] - seen.target["sheet"]
     by = np.zeros_like(x)
     by[-1] = -2.0 * miss
-    return Scored(-float((miss**2).sum()), {"sheet": by}, {})
+    return Scored(-float((miss**2).sum()), {"sheet": by}, {}, sought={"sheet": seen.target["sheet"]})

@@ -13,7 +13,8 @@ from sim_core.tasks.measure import Scored, Seen
 def reward(seen: Seen) -> Scored:
     """Setting ``displacement_m``: d."""
     x = seen.points["block"]
-    miss = x[-1] - x[0] - np.asarray(seen.settings["displacement_m"])
+    sought = x[0] + np.asarray(seen.settings["displacement_m"])
+    miss = x[-1] - sought
     by = np.zeros_like(x)
     by[-1], by[0] = -2.0 * miss, 2.0 * miss
-    return Scored(-float((miss**2).sum()), {"block": by}, {})
+    return Scored(-float((miss**2).sum()), {"block": by}, {}, sought={"block": sought})
