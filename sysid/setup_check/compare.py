@@ -103,11 +103,7 @@ def _tried(
     now: Mapping[str, Evidence],
     elsewhere: bool,
 ) -> Tried:
-    material = any(
-        not isinstance(rig.sensors.get(c), WrenchSensor)
-        or found.materially_better(as_written[c], MODEL.plausible_log_sd)
-        for c, found in now.items()
-    )
+    material = any(found.materially_better(as_written[c], _size_log_sd(rig, c)) for c, found in now.items())
     start = float(np.log(SETUP_CHECK.begin_elsewhere)) if elsewhere else 0.0
     return Tried(mistake, log_odds, {**as_written, **now}, material, start)
 
@@ -116,9 +112,15 @@ def _as_good_as_any(rig: Rig, as_written: Mapping[str, Evidence], followed: bool
     """Whether what the rig as written leaves of every channel is no more than materials and meshes do."""
     return followed and all(
         e.error <= SETUP_CHECK.immaterial_error
-        and abs(np.log(e.size)) <= (MODEL.plausible_log_sd if c in rig.sensors else SETUP_CHECK.marker_motion_log_sd)
+        and abs(np.log(e.size)) <= _size_log_sd(rig, c)
         for c, e in as_written.items()
     )
+
+
+def _size_log_sd(rig: Rig, channel: str) -> float:
+    """Width of the logarithm of the size of what is predicted of a channel."""
+    wrench = isinstance(rig.sensors.get(channel), WrenchSensor)
+    return MODEL.plausible_log_sd if wrench else SETUP_CHECK.marker_motion_log_sd
 
 
 def _prior(count: int, weight: float = 1.0) -> float:
