@@ -33,6 +33,7 @@ from sysid.cli import (
     inspect,
     inverse,
     ledger,
+    lerobot,
     optimise,
     plan,
     presses,
@@ -91,6 +92,7 @@ app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
 app.add_typer(trajectory.app, name="trajectory")
 app.command("inspect")(inspect.inspect)
+app.add_typer(lerobot.app, name="lerobot")
 app.command("track")(track.track)
 app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)

@@ -96,7 +96,6 @@ class SetupCheckSettings:
     unit_size_log: float = setting(
         0.5, "1", "Logarithm of the size of forces within which a unit makes up for it.", "judgement"
     )
-    told_alternatives: int = setting(2, "1", "Other mistakes that a sentence tells.", "judgement")
     sure_odds: float = setting(100.0, "1", "Odds of a mistake against the rig from which it is named.", "statistics")
 
 

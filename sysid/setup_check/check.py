@@ -61,9 +61,9 @@ def _finding(comparison: Comparison, named: Sequence[Tried]) -> Finding:
 
 
 def told(named: Sequence[Tried]) -> list[Tried]:
-    """The likeliest mistake, and the likeliest of some other kinds that explain the recording as well."""
+    """The likeliest mistake, and the likeliest of each other kind that explains the recording as well."""
     firsts = {t.mistake.kind: t for t in reversed(named)}
-    return sorted(firsts.values(), key=lambda t: -t.among_mistakes)[: 1 + SETUP_CHECK.told_alternatives]
+    return sorted(firsts.values(), key=lambda t: -t.among_mistakes)
 
 
 def refuse_mistaken_setups(

@@ -111,8 +111,7 @@ def _tried(
 def _as_good_as_any(rig: Rig, as_written: Mapping[str, Evidence], followed: bool) -> bool:
     """Whether what the rig as written leaves of every channel is no more than materials and meshes do."""
     return followed and all(
-        e.error <= SETUP_CHECK.immaterial_error
-        and abs(np.log(e.size)) <= _size_log_sd(rig, c)
+        e.error <= SETUP_CHECK.immaterial_error and abs(np.log(e.size)) <= _size_log_sd(rig, c)
         for c, e in as_written.items()
     )
 

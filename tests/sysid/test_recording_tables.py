@@ -109,6 +109,12 @@ def test_names_of_columns_are_mapped(tmp_path: Path) -> None:
         read(tmp_path, MACHINE)
 
 
+def test_names_that_are_known_need_no_mapping_beside_others(tmp_path: Path) -> None:
+    text = MACHINE.replace("Zeit", "time [s]")
+    recording = read(tmp_path, text, TopicNames(columns={name: MEANT[name] for name in ("Kraft [mN]", "Weg (mm)")}))
+    assert_plain(recording)
+
+
 def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [s],x [furlong],Force [mN],x [m]\n\n# later\n0,1,2,3\n1,one,2,3\n2,1,2,two\n")
     (tmp_path / "b.csv").write_text("x [m]\n0\n1\n")
