@@ -45,6 +45,7 @@ def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> list[Mistake]:
         found += _exchanged_axes(name, rest, first, reach_m)
         found += _told_inversely(name, rest, first, reach_m)
     names = list(poses)
+    found = [replace(mistake, weight=mistake.weight / len(names)) for mistake in found]  # it may be in any hand
     for k, one in enumerate(names):
         found += [_swapped(rig, one, other) for other in names[k + 1 :]]
     if len(names) > 1:

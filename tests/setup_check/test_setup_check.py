@@ -11,17 +11,21 @@ import pytest
 import yaml
 from graded_setups import FOREIGN, SETUPS, cases, graded, judged, setups, sound, table
 from mistaken_setups import flange, makers, picture_flipped, tool_turned, wrench_sign
+from scipy.spatial.transform import Rotation
 from sound_recordings import accusations, of_others, simulated
 
 from sim_core.rigs import Rig, load_rig, rig_to_yaml
+from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.cli.app import main
 from sysid.model.load import lined_up, load_run
 from sysid.observations.checks import examine
 from sysid.observations.recorded_axes import in_rig_axes
 from sysid.recording import Recording
+from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.check import check_setup
 from sysid.setup_check.evidence import Quantity, evidence
-from sysid.setup_check.mistakes import signed_permutations
+from sysid.setup_check.mistakes import axes_of, commonness, signed_permutations
+from sysid.setup_check.pose_mistakes import begins_elsewhere, pose_mistakes
 from sysid.uncertainty.goodness_of_fit import no_success
 
 SHARED = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -156,6 +160,35 @@ def test_signed_permutations_are_all_axes() -> None:
     assert len({matrix.tobytes() for matrix in found}) == 48
     assert sum(np.linalg.det(matrix) > 0.0 for matrix in found) == 24
     assert np.array_equal(found[0], np.eye(3))
+
+
+def test_one_act_is_more_common_than_two() -> None:
+    """9 turns about an axis, 3 reversals, 3 exchanges, all reversed, and nothing at all."""
+    common = [axes_of(m) for m in signed_permutations() if commonness(m) == 1.0]
+    assert len(common) == 17 and "[z, -y, x]" not in common
+    assert {"[-y, x, z]", "[x, -y, z]", "[y, x, z]", "[-x, -y, -z]"} <= set(common)
+
+
+def test_poses_of_all_hands_may_be_told_in_another_base() -> None:
+    rig = load_rig("proof_bench")
+    turn, offset = Rotation.from_euler("z", 90.0, degrees=True), np.array([0.1, -0.3, 0.2])
+    true, told = {}, {}
+    for name, effector in rig.end_effectors.items():
+        t = np.linspace(0.0, 1.0, 11)
+        position = effector.start.position() + np.outer(t, [0.0, 0.002, -0.001])
+        quaternion = np.tile(effector.start.rotation().as_quat(), (11, 1))
+        true[name] = PoseTrajectory.from_samples(t, position, quaternion)
+        turned = (turn * Rotation.from_quat(quaternion)).as_quat()
+        told[name] = PoseTrajectory.from_samples(t, turn.apply(position) + offset, turned)
+    assert not begins_elsewhere(rig, true) and begins_elsewhere(rig, told)
+    found = [m for m in pose_mistakes(rig, told, 0.003)[: SETUP_CHECK.most_rollouts] if m.kind == "base for base_link"]
+    (best,) = [m for m in found if m.line.count("topics.base") == 2]
+    assert best.poses is not None
+    mended = best.poses(told)
+    for name, right in true.items():
+        np.testing.assert_allclose(mended[name].positions, right.positions, atol=1e-9)
+        off = (Rotation.from_quat(mended[name].quaternions).inv() * Rotation.from_quat(right.quaternions)).magnitude()
+        assert off.max() < 1e-6
 
 
 @pytest.mark.slow
