@@ -160,12 +160,12 @@ def test_a_pose_that_freezes_stops_a_fit_where_sensors_go_on(tmp_path: Path) -> 
     assert found[0].times[0] == pytest.approx(2.0, abs=0.02) and found[0].times[1] == pytest.approx(3.5, abs=0.02)
 
 
-def test_positions_in_millimetres_are_told_wherever_a_motion_begins(tmp_path: Path) -> None:
-    """Far from the rig's start, and elsewhere than it in any unit: no motion is larger than the rig."""
+def test_positions_in_another_unit_are_told_wherever_a_motion_begins(tmp_path: Path) -> None:
+    """Elsewhere than the rig's start in any unit, so that it cannot be told which: no motion is larger than the rig."""
     recording = press()
-    recording.pose.position = 1e3 * (recording.pose.position + [0.05, -0.04, 0.02])
+    recording.pose.position = (recording.pose.position + [0.05, -0.04, 0.02]) / 0.0254
     (found,) = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
-    assert found.name == "length_unit" and "read as millimetres" in found.problem
+    assert found.name == "length_unit" and "moves 2.09 m, where the rig is 0.098 m large" in found.problem
 
 
 @pytest.mark.parametrize(("degrees", "said"), [(1.5, []), (30.0, ["start_orientation"])])

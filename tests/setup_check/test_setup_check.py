@@ -175,7 +175,7 @@ def test_poses_of_all_hands_may_be_told_in_another_base() -> None:
     true, told = {}, {}
     for name, effector in rig.end_effectors.items():
         t = np.linspace(0.0, 1.0, 11)
-        position = effector.start.position() + np.outer(t, [0.0, 0.002, -0.001])
+        position = effector.start.position() + np.outer(np.maximum(t - 0.5, 0.0), [0.0, 0.004, -0.002])
         quaternion = np.tile(effector.start.rotation().as_quat(), (11, 1))
         true[name] = PoseTrajectory.from_samples(t, position, quaternion)
         turned = (turn * Rotation.from_quat(quaternion)).as_quat()
