@@ -10,7 +10,11 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from typing import TextIO
 
 import typer
 
@@ -29,6 +33,7 @@ from sysid.cli import (
     inspect,
     inverse,
     ledger,
+    lerobot,
     optimise,
     plan,
     presses,
@@ -44,7 +49,7 @@ from sysid.cli import (
     trajectory,
     validate,
 )
-from sysid.cli.progress import interrupts_remembered
+from sysid.cli.progress import interrupts_remembered, warn
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."
@@ -88,6 +93,7 @@ app.command("diagnose")(diagnose.diagnose)
 app.add_typer(prove.app, name="prove")
 app.add_typer(trajectory.app, name="trajectory")
 app.command("inspect")(inspect.inspect)
+app.add_typer(lerobot.app, name="lerobot")
 app.command("track")(track.track)
 app.command("presses")(presses.presses)
 app.command("rigs")(rigs.rigs)
@@ -118,7 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
     debug = "--debug" in given[:cut]
     plain = each_named([word for index, word in enumerate(given) if word != "--debug" or index > cut])
     try:
-        with interrupts_remembered():
+        with interrupts_remembered(), _warnings_in_words():
             code = typer.main.get_command(app).main(plain or ["--help"], "thinshell", standalone_mode=False)
         sys.stdout.flush()
         if code == INTERRUPTED:
@@ -139,6 +145,29 @@ def main(arguments: list[str] | None = None) -> int:
         text, code = _explain(error)
         print(f"thinshell: {_one_line(text)}", file=sys.stderr)
         return code
+
+
+@contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Warnings that are meant for users are said as a sentence, without the line of the program that gave them."""
+    with warnings.catch_warnings():
+        given = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if issubclass(category, UserWarning):
+                warn(str(message))
+            else:
+                given(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield
 
 
 LISTS = ("--held-out",)

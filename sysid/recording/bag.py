@@ -179,7 +179,9 @@ def _indexed(paths: Sequence[Path], columns: Mapping[str, str], notes: Notes) ->
             faults[path] = error
     tables = [path for path in faults if content_of(path).kind == TABLE]
     if tables:
-        raise RecordingError(" ".join(faults[path].problem for path in tables), faults[tables[0]].remedy)
+        raise RecordingError(
+            " ".join(faults[path].problem for path in tables), max((faults[path].remedy for path in tables), key=len)
+        )
     if not found:
         raise next(iter(faults.values()))
     for path, fault in faults.items():

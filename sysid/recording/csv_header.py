@@ -151,7 +151,8 @@ def _known(name: str) -> bool:
 def _named(name: str, unit: str | None, cell: str, judge_unit: bool = True) -> Column:
     """A component, or ``topic.component``, or ``topic.number.component``."""
     if _word(name) in _TIMES:
-        return Column("time", "", None, "", _factor(cell, "time", "s" if name == "__time" and not unit else unit))
+        unit = "s" if name == "__time" and not unit else unit
+        return Column("time", "", None, "", _factor(cell, "time", unit) if judge_unit else 1.0)
     *before, last = name.split(".")
     component = _word(last)
     component = _ALIASES.get(component, component)

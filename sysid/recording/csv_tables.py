@@ -85,6 +85,8 @@ class _Table:
     def __init__(self, path: Path, shown: Path, mapped: Mapping[str, str]) -> None:
         self.path, self.shown, self.mapped = path, shown, mapped
         self.faults: list[str] = []
+        self.unnamed = False
+        """Whether a column has no name that is known."""
         self.remarks: list[str] = []
 
     def read(self) -> tuple[Floats, dict[Column, Floats]]:
@@ -96,6 +98,7 @@ class _Table:
         time_at = next((k for k, column in columns.items() if column.kind == "time"), None)
         if time_at is None:
             shown = ", ".join(names[:8])
+            self.unnamed = True
             self.faults.append(f"it has no column of times among {shown}. Name it with its unit, as in time [s]")
         values = {k: self._numbers(names[k], column, k, rows) for k, column in columns.items()}
         if time_at is not None:
@@ -115,7 +118,9 @@ class _Table:
         rest = f"; and {len(self.faults) - _LISTED} more" if len(self.faults) > _LISTED else ""
         raise RecordingError(
             f"{self.shown}: {shown}{rest}.",
-            "Correct the table, or say in the rig what its columns are: table_columns: {NAME: wrench.force_z}.",
+            "Correct the table, or say in the rig what its columns are: table_columns: {NAME: wrench.force_z}."
+            if self.unnamed
+            else "Correct the table.",
         )
 
     def _lines(self) -> list[tuple[int, str]]:
@@ -168,6 +173,7 @@ class _Table:
             try:
                 column = column_of(name, self.mapped)
             except Unknown as error:
+                self.unnamed = True
                 self.faults.append(str(error))
                 continue
             if column is None:

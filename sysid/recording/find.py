@@ -139,11 +139,10 @@ def _few(names: Sequence[str]) -> str:
 
 def _nothing(path: Path, contents: Mapping[Path, Content]) -> RecordingError:
     """What is said of a folder without a recording: of what is in it, or below it."""
-    if lerobot := lerobot_version(path):
+    if info := lerobot_info(path):
         return RecordingError(
-            f"{path} is a LeRobot dataset ({lerobot}), not a recording.",
-            "Write the columns of an episode as a table (.csv) with units in the names: "
-            "pandas.read_parquet('data/...').query('episode_index == 0').to_csv('run.csv').",
+            f"{path} is a LeRobot dataset ({info['codebase_version']}), not a recording.",
+            f"Write its episodes as tables, which are: thinshell lerobot import {path} --out FOLDER.",
         )
     inner = sorted(p.name for p in path.iterdir() if p.is_dir() and not p.name.startswith(".") and _holds_storage(p))
     if inner:
@@ -171,12 +170,13 @@ def _holds_storage(folder: Path) -> bool:
         return False
 
 
-def lerobot_version(path: Path) -> str:
-    """The version of a LeRobot dataset, '' of any other folder."""
+def lerobot_info(path: Path) -> dict[str, Any] | None:
+    """What ``meta/info.json`` says of a LeRobot dataset, None for any other folder."""
     try:
-        return str(json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))["codebase_version"])
+        info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+        return dict(info) if isinstance(info["codebase_version"], str) else None
     except (OSError, ValueError, KeyError, TypeError):
-        return ""
+        return None
 
 
 def _metadata(path: Path, notes: Notes) -> Mapping[str, Any]:

@@ -1,6 +1,7 @@
 """Index of one MCAP file, by a sequential scan that survives damage, a missing end, footer or chunk.
 
-The scan reads the data section itself instead of the summary at the end of the file. Four things
+The scan reads the data section itself instead of the summary at the end of the file, which only tells what channels
+there are where their records are damaged. Four things
 follow from it: a recording cut short by a crash is read up to the last whole message, topics never
 disappear because of the quality-of-service text stored beside them, the number of messages found
 can be checked against the number that the summary promises, and behind a damaged place the scan goes
@@ -27,6 +28,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema, Statistics
 
 from sim_core.errors import RecordingError
+from sysid.recording.mcap_summary import Summary, summary_of
 from sysid.recording.storage import ChannelEntry, FileIndex
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -116,9 +118,11 @@ def unpack_chunk(content: bytes) -> tuple[bytes, str]:
 class _Scan:
     """State of one pass over a file."""
 
-    def __init__(self) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+    def __init__(self, summary: Summary) -> None:
+        self.schemas: dict[int, Schema] = dict(summary.schemas) if summary.whole else {}
+        self.channels: dict[int, Channel] = dict(summary.channels) if summary.whole else {}
+        self.stated = set(summary.channels)
+        """Numbers of channels that the file has by its summary."""
         self.rows = array("q")  # channel id, log time, chunk position, payload offset, payload size
         self.problems: list[str] = []
         self.damage: list[str] = []
@@ -158,10 +162,13 @@ class _Scan:
             stream = ReadDataStream(BytesIO(data[at : at + length]))
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
-                self.schemas[schema.id] = schema
+                kept = self.schemas.setdefault(schema.id, schema)
+                _check_alike(kept.name, schema.name)
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
-                self.channels[channel.id] = channel
+                known = self.channels.setdefault(channel.id, channel)
+                for one, other in zip(_words(known), _words(channel), strict=True):
+                    _check_alike(one, other)
             else:
                 self.promised = Statistics.read(stream).message_count
 
@@ -199,6 +206,16 @@ class _Scan:
         return ChannelEntry(channel.topic, name, encoding)
 
 
+def _words(channel: Channel) -> tuple[str, str, str]:
+    return channel.topic, channel.message_encoding, f"schema {channel.schema_id}"
+
+
+def _check_alike(kept: str, other: str) -> None:
+    """A record that a file repeats says the same each time."""
+    if kept != other:
+        raise ValueError(f"it says {other!r} where the file says {kept!r} elsewhere")
+
+
 _NAMES = {int(code): code.name.lower().replace("_", " ") for code in Opcode}
 _LATEST_NS = np.iinfo(np.int64).max
 
@@ -231,14 +248,14 @@ def index_mcap(path: Path, shown: Path) -> FileIndex:
 
 
 def _scanned(data: mmap.mmap, size: int, shown: Path) -> _Scan:
-    scan = _Scan()
+    scan = _Scan(summary_of(data, size))
     start, footer = len(MAGIC), False
     while not footer and start + _FRAME.size <= size:
         opcode, length = _FRAME.unpack_from(data, start)
         at = start + _FRAME.size
         if opcode not in _OPCODES or not _follows(data, at + length, size):
             # Either this record states a wrong length, or what comes behind it is damaged.
-            on = _next_record(data, start + 1, size, scan.channels)
+            on = _next_record(data, start + 1, size, scan.stated | set(scan.channels))
             if on is None:
                 if opcode == Opcode.CHUNK and at + length > size:
                     _take_chunk(scan, data[at:size], at, whole=False)

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from sim_core.errors import RecordingError
-from sysid.recording.storage import ChannelEntry, FileIndex
+from sysid.recording.sqlite_pages import Pages
+from sysid.recording.storage import ChannelEntry, FileIndex, Payloads
 
 MAGIC = b"SQLite format 3\x00"
 
-MOST_FAULTS = 256
-"""Damaged pages that are passed over in one file."""
-_LARGEST_ID = 2**63 - 1
+_LEAST_BYTES = 16
+"""Of a row with a time of recording."""
 
-LARGEST_SKIP = 1 << 22
-"""Ids behind a damaged page that are passed over before it is taken for the end."""
+Message = tuple[int, int, int]
+"""Topic, time of recording [ns] and where it is: the id of its row, or the place of its cell."""
 
 
 class SqlitePayloads:
@@ -39,6 +41,26 @@ class SqlitePayloads:
         self._db.close()
 
 
+class PagedPayloads:
+    """Message payloads of one damaged sqlite3 file by the place of their cells."""
+
+    def __init__(self, path: Path) -> None:
+        self._pages = Pages(path)
+
+    def payload(self, at: int, _b: int, _c: int, /) -> bytes:
+        """Return the bytes of the message whose cell is there."""
+        try:
+            data = self._pages.row(at, blobs=True).values[3]
+        except (IndexError, UnicodeDecodeError) as error:
+            raise ValueError(f"the row at byte {at} of the database is damaged") from error
+        assert isinstance(data, bytes)
+        return data
+
+    def close(self) -> None:
+        """Close the file."""
+        self._pages.close()
+
+
 def index_sqlite(path: Path, shown: Path) -> FileIndex:
     """List the messages of a sqlite3 storage file.
 
@@ -56,21 +78,20 @@ def index_sqlite(path: Path, shown: Path) -> FileIndex:
             f"{log.name} beside it holds messages that were never merged into the database and are not read; "
             "open a copy of both once with the sqlite3 tool to merge them"
         )
-    db = _connect(path)
+    payloads: Callable[[Path], Payloads] = SqlitePayloads
     try:
-        listed = db.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
-        rows, lost = _rows(db)
+        listed, rows = _asked(path)
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"{shown} is not a readable rosbag2 database: {error}.",
-            "If it was cut short, recover a copy with: sqlite3 COPY.db3 .recover | sqlite3 FIXED.db3",
-        ) from error
-    finally:
-        db.close()
-    if lost:
-        problems.append(
-            f"the database is damaged ({lost}): messages on its damaged pages are lost, those behind are read"
-        )
+        payloads = PagedPayloads
+        listed, rows, missing = _carved(path)
+        if not listed or not rows:
+            raise RecordingError(
+                f"{shown} is not a readable rosbag2 database: {error}.", "Use another copy of the recording."
+            ) from error
+        # An id that is damaged itself tells nothing: no more are lost than the file has room for.
+        room = path.stat().st_size // _LEAST_BYTES
+        lost = f"; {missing} messages between others are lost" if 0 < missing < room else ""
+        problems.append(f"the database is damaged ({error}): what is whole on its pages is read{lost}")
     topics = [t for t in listed if isinstance(t[0], int) and all(isinstance(word, str) for word in t[1:])]
     if len(topics) < len(listed):
         problems.append(f"{len(listed) - len(topics)} entries of its list of topics are damaged and left out")
@@ -90,32 +111,39 @@ def index_sqlite(path: Path, shown: Path) -> FileIndex:
         log_ns=table[:, 1],
         locator=locator,
         problems=tuple(problems),
-        open=partial(SqlitePayloads, path),
+        open=partial(payloads, path),
     )
 
 
-def _rows(db: sqlite3.Connection) -> tuple[list[tuple[int, int, int]], str]:
-    """Topic, time of recording and id of the messages that can be read, and what is wrong with the others.
+def _asked(path: Path) -> tuple[list[tuple[int, str, str, str]], list[Message]]:
+    """Topics and messages of a whole database."""
+    db = _connect(path)
+    try:
+        listed = db.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
+        rows = db.execute("SELECT topic_id, timestamp, id FROM messages ORDER BY id").fetchall()
+    finally:
+        db.close()
+    if any(not isinstance(one, int) or one >= other for (*_, one), (*_, other) in pairwise(rows)):
+        raise sqlite3.DatabaseError("its ids are not in order")
+    return listed, rows
 
-    A damaged page ends a query. The next one begins behind the last id, farther and farther, until one can be read."""
-    rows: list[tuple[int, int, int]] = []
-    fault, after, skip = "", -1, 0
-    for _ in range(MOST_FAULTS):
-        try:
-            for row in db.execute("SELECT topic_id, timestamp, id FROM messages WHERE id > ? ORDER BY id", (after,)):
-                if not isinstance(row[2], int) or row[2] <= after:
-                    raise sqlite3.DatabaseError("its ids are not in order")
-                rows.append(row)
-                after, skip = row[2], 0
-            break
-        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-            fault, skip = str(error), max(1, 2 * skip)
-            after = min(after + skip, _LARGEST_ID)
-            if skip > LARGEST_SKIP:
-                break
-    if fault and not rows:
-        raise sqlite3.DatabaseError(fault)
-    return rows, fault
+
+def _carved(path: Path) -> tuple[list[tuple[int, str, str, str]], list[Message], int]:
+    """Topics and messages of a damaged database from its pages, and how many ids between theirs are missing."""
+    topics: dict[int, tuple[int, str, str, str]] = {}
+    messages: dict[int, Message] = {}
+    pages = Pages(path)
+    try:
+        for row in pages.rows():
+            match row.values:
+                case (None, str(name), str(kind), str(encoding), *_) if name.startswith("/"):
+                    topics.setdefault(row.number, (row.number, name, kind, encoding))
+                case (None, int(topic), int(stamp), bytes()):
+                    messages.setdefault(row.number, (topic, stamp, row.at))
+    finally:
+        pages.close()
+    missing = max(messages) - min(messages) + 1 - len(messages) if messages else 0
+    return [topics[k] for k in sorted(topics)], [messages[k] for k in sorted(messages)], missing
 
 
 def _connect(path: Path) -> sqlite3.Connection:

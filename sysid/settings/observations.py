@@ -244,16 +244,13 @@ class ObservationsSettings:
     )
 
     # start poses
-    start_far_m: float = setting(
-        0.3,
-        "m",
-        "Distance of the first pose from the start of the rig that no table-top experiment begins at.",
-        "judgement",
+    start_chance_sd: float = setting(
+        4.0, "sd", "Standard deviations of a mount by which a hand may be off the rig's start by chance.", "statistics"
     )
     start_far_deg: float = setting(
         45.0,
         "deg",
-        "Angle of the first pose from the start of the rig that no table-top experiment begins at.",
+        "Angle of the first pose from the start of the rig from which quaternions are read in other ways.",
         "judgement",
     )
     start_near_deg: float = setting(

@@ -84,13 +84,18 @@ class SetupCheckSettings:
         2.0, "1", "Log likelihood below the largest within which the smallest error of a model is taken.", "statistics"
     )
     prior_of_mistake: float = setting(0.1, "1", "Share of recordings with a mistake of set-up.", "judgement")
+    begin_elsewhere: float = setting(
+        0.1,
+        "1",
+        "Share of recordings that begin farther from the rig's start, or turned by more, than hands move from there.",
+        "judgement",
+    )
     odd_size_log: float = setting(
         1.5, "1", "Logarithm of the size of forces, over that by the rig, that is worth a note.", "judgement"
     )
     unit_size_log: float = setting(
         0.5, "1", "Logarithm of the size of forces within which a unit makes up for it.", "judgement"
     )
-    told_alternatives: int = setting(2, "1", "Other mistakes that a sentence tells.", "judgement")
     sure_odds: float = setting(100.0, "1", "Odds of a mistake against the rig from which it is named.", "statistics")
 
 

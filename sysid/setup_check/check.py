@@ -43,14 +43,8 @@ def check_setup(rig: Rig, run: Run) -> SetupCheck:
 
 
 def _finding(comparison: Comparison, named: Sequence[Tried]) -> Finding:
-    best = named[0]
-    kinds = {best.mistake.kind}
-    others = []
-    for t in named[1:]:
-        if t.mistake.kind not in kinds:
-            kinds.add(t.mistake.kind)
-            others.append(f"{t.mistake.words} ({t.mistake.line})")
-    shown = others[: SETUP_CHECK.told_alternatives]
+    best, *others = told(named)
+    shown = [f"{t.mistake.words} ({t.mistake.line})" for t in others]
     as_well = f" The recording would be explained as well if {'; or if '.join(shown)}." if shown else ""
     line = best.mistake.line
     in_rig = line.startswith(("sensors.", "cameras.", "end_effectors."))
@@ -64,6 +58,12 @@ def _finding(comparison: Comparison, named: Sequence[Tried]) -> Finding:
         bound=float(np.log(SETUP_CHECK.sure_odds)),
         part=best.mistake.part,
     )
+
+
+def told(named: Sequence[Tried]) -> list[Tried]:
+    """The likeliest mistake, and the likeliest of each other kind that explains the recording as well."""
+    firsts = {t.mistake.kind: t for t in reversed(named)}
+    return sorted(firsts.values(), key=lambda t: -t.among_mistakes)
 
 
 def refuse_mistaken_setups(
@@ -114,10 +114,10 @@ def notes_of(comparison: Comparison) -> list[Finding]:
             continue
         before, after = comparison.as_written[channel], t.channels[channel]
         if abs(np.log(before.size)) > SETUP_CHECK.odd_size_log and abs(np.log(after.size)) < SETUP_CHECK.unit_size_log:
-            found.append((abs(np.log(after.size)), t))
+            found.append(t)
     if not found:
         return []
-    _, t = min(found, key=lambda pair: pair[0])
+    t = max(found, key=lambda each: each.log_odds)
     return [
         Finding(
             "force_size",

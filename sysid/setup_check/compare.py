@@ -16,7 +16,7 @@ from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.evidence import Evidence, evidence
 from sysid.setup_check.marker_mistakes import marker_mistakes, picture_mistakes
 from sysid.setup_check.mistakes import Mistake
-from sysid.setup_check.pose_mistakes import pose_mistakes
+from sysid.setup_check.pose_mistakes import begins_elsewhere, pose_mistakes
 from sysid.setup_check.probe import Probe, Rollouts, averaged, probe_of
 from sysid.setup_check.wrench_mistakes import wrench_mistakes
 
@@ -24,12 +24,19 @@ from sysid.setup_check.wrench_mistakes import wrench_mistakes
 @dataclass(frozen=True)
 class Tried:
     """A mistake with its log odds against the rig as written, and by channel how readings are then explained.
-    ``material``: what it leaves is less by a half, in some channel."""
+    ``material``: what it leaves is less by a half, in some channel. ``start``: log odds, against other mistakes, of the
+    place where the recording then begins."""
 
     mistake: Mistake
     log_odds: float
     channels: Mapping[str, Evidence]
     material: bool
+    start: float
+
+    @property
+    def among_mistakes(self) -> float:
+        """Log odds by which it stands among other mistakes."""
+        return self.log_odds + self.start
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class Comparison:
     def named(self) -> list[Tried]:
         """The likeliest mistake and those that explain the recording as well; nothing where the rig does."""
         sure = [t for t in self.tried if t.material and t.log_odds > np.log(SETUP_CHECK.sure_odds)]
-        return [t for t in sure if t.log_odds > sure[0].log_odds - np.log(SETUP_CHECK.sure_odds) / 2.0]
+        return [t for t in sure if t.among_mistakes > sure[0].among_mistakes - np.log(SETUP_CHECK.sure_odds) / 2.0]
 
 
 def compare(rig: Rig, run: Run, noise: Mapping[str, ChannelNoise] | None = None) -> Comparison:
@@ -63,46 +70,56 @@ def compare(rig: Rig, run: Run, noise: Mapping[str, ChannelNoise] | None = None)
     )
     moved: list[Mistake] = []
     if ceiling > np.log(SETUP_CHECK.sure_odds) and not _as_good_as_any(rig, as_written, followed):
-        moved = list(pose_mistakes(rig, probe.run.poses, _reach(probe)))[: SETUP_CHECK.most_rollouts]
+        moved = pose_mistakes(rig, probe.run.poses, _reach(probe))[: SETUP_CHECK.most_rollouts]
     every = len(readings) + len(moved)
+    elsewhere = begins_elsewhere(rig, probe.run.poses)
     tried = []
     for mistake in readings:
         assert mistake.readings is not None and predicted is not None
         found = _one(probe, mistake.part, mistake.readings(predicted[mistake.part]))
-        gain = found.log - as_written[mistake.part].log
-        tried.append(_tried(rig, mistake, gain + _prior(every, mistake.weight), as_written, {mistake.part: found}))
+        gain = found.log - as_written[mistake.part].log + _prior(every, mistake.weight)
+        tried.append(_tried(rig, mistake, gain, as_written, {mistake.part: found}, elsewhere))
     best = max(tried, key=lambda t: t.log_odds, default=None)
-    if best is None or best.log_odds < np.log(SETUP_CHECK.sure_odds) or not _as_good_as_any(rig, best.channels, True):
+    explained_already = best is not None and best.log_odds > np.log(SETUP_CHECK.sure_odds)
+    if elsewhere or not explained_already or best is None or not _as_good_as_any(rig, best.channels, True):
         for mistake in moved:
             assert mistake.poses is not None
-            other = rollouts.along(mistake.poses(probe.run.poses))
+            poses = mistake.poses(probe.run.poses)
+            other = rollouts.along(poses)
             if other is None:
                 continue
             explained = _explained(probe, other)
-            gain = sum(explained[c].log - as_written[c].log for c in explained)
-            tried.append(_tried(rig, mistake, gain + _prior(every, mistake.weight), as_written, explained))
-    tried.sort(key=lambda t: -t.log_odds)
+            gain = sum(explained[c].log - as_written[c].log for c in explained) + _prior(every, mistake.weight)
+            tried.append(_tried(rig, mistake, gain, as_written, explained, begins_elsewhere(rig, poses)))
+    tried.sort(key=lambda t: -t.among_mistakes)
     return Comparison(as_written, tuple(tried), followed, ceiling)
 
 
 def _tried(
-    rig: Rig, mistake: Mistake, log_odds: float, as_written: Mapping[str, Evidence], now: Mapping[str, Evidence]
+    rig: Rig,
+    mistake: Mistake,
+    log_odds: float,
+    as_written: Mapping[str, Evidence],
+    now: Mapping[str, Evidence],
+    elsewhere: bool,
 ) -> Tried:
-    material = any(
-        not isinstance(rig.sensors.get(c), WrenchSensor)
-        or found.materially_better(as_written[c], MODEL.plausible_log_sd)
-        for c, found in now.items()
-    )
-    return Tried(mistake, log_odds, {**as_written, **now}, material)
+    material = any(found.materially_better(as_written[c], _size_log_sd(rig, c)) for c, found in now.items())
+    start = float(np.log(SETUP_CHECK.begin_elsewhere)) if elsewhere else 0.0
+    return Tried(mistake, log_odds, {**as_written, **now}, material, start)
 
 
 def _as_good_as_any(rig: Rig, as_written: Mapping[str, Evidence], followed: bool) -> bool:
     """Whether what the rig as written leaves of every channel is no more than materials and meshes do."""
     return followed and all(
-        e.error <= SETUP_CHECK.immaterial_error
-        and abs(np.log(e.size)) <= (MODEL.plausible_log_sd if c in rig.sensors else SETUP_CHECK.marker_motion_log_sd)
+        e.error <= SETUP_CHECK.immaterial_error and abs(np.log(e.size)) <= _size_log_sd(rig, c)
         for c, e in as_written.items()
     )
+
+
+def _size_log_sd(rig: Rig, channel: str) -> float:
+    """Width of the logarithm of the size of what is predicted of a channel."""
+    wrench = isinstance(rig.sensors.get(channel), WrenchSensor)
+    return MODEL.plausible_log_sd if wrench else SETUP_CHECK.marker_motion_log_sd
 
 
 def _prior(count: int, weight: float = 1.0) -> float:

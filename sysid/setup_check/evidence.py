@@ -98,6 +98,15 @@ class Quantity:
         unit = max(self.signal, self.sigma, 1e-300) ** 2 * y.shape[1]
         return float(((y - size * mu) ** 2).sum() / unit), float((y**2).sum() / unit)
 
+    def placed(self, predicted: np.ndarray, size: float) -> float:
+        """Root mean square of the constants by which markers lie beside a prediction of a size, over the size of their
+        layout; 0 for what has no place."""
+        if not self.places:
+            return 0.0
+        y, mu = self._compared(predicted)
+        beside = (y - size * mu).mean(axis=0)
+        return float(np.sqrt(np.mean(beside**2))) * SETUP_CHECK.layout_error / max(self.bias, 1e-300)
+
     def _compared(self, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         y, mu = _filled(self.values), _filled(predicted)
         return (y - mu[0], mu - mu[0]) if self.places else (y, mu)
@@ -106,18 +115,24 @@ class Quantity:
 @dataclass(frozen=True)
 class Evidence:
     """Log likelihood of the likeliest ``size`` of the prediction, and the relative ``error`` of the model there;
-    ``left``: root mean square of what it leaves about the biases, over that of the readings."""
+    ``left``: root mean square of what it leaves about the biases, over that of the readings; ``placed``: that of the
+    constants by which markers are beside it, over the size of their layout."""
 
     log: float
     size: float
     error: float
     left: float
+    placed: float
 
     def materially_better(self, other: Evidence, log_sd: float) -> bool:
-        """Whether the error of the model is at most half of that of another one, or takes away what is implausible in
-        its size."""
+        """Whether the error of the model is at most half of that of another one, or what is implausible in its size or
+        in where it has the markers."""
         size, before = abs(np.log(self.size)), abs(np.log(other.size))
-        return bool(self.error < 0.5 * other.error or (before > log_sd and size < 0.5 * before))
+        return bool(
+            self.error < 0.5 * other.error
+            or (before > log_sd and size < 0.5 * before)
+            or (other.placed > SETUP_CHECK.layout_error and self.placed < 0.5 * other.placed)
+        )
 
 
 def evidence(quantities: Sequence[Quantity], predicted: Sequence[np.ndarray]) -> Evidence:
@@ -132,7 +147,8 @@ def evidence(quantities: Sequence[Quantity], predicted: Sequence[np.ndarray]) ->
     squares = np.array([q.left(p, size) for q, p in zip(quantities, predicted, strict=True)]).sum(axis=0)
     whole = max(squares[1], 1e-300)
     left = float(np.sqrt(squares[0] / whole))
-    return Evidence(float(total[best]), size, error, left)
+    placed = max(q.placed(p, size) for q, p in zip(quantities, predicted, strict=True))
+    return Evidence(float(total[best]), size, error, left, placed)
 
 
 def _least_error(log: np.ndarray) -> float:

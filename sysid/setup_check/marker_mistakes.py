@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs import MarkerSensor
 from sim_core.rigs.observers import Camera
 from sysid.settings.setup_check import SETUP_CHECK
-from sysid.setup_check.mistakes import Mistake, axes_of, pose_text, signed_permutations
+from sysid.setup_check.mistakes import Mistake, axes_of, commonness, pose_text, signed_permutations
 
 LENGTHS = {"mm": 1e3, "cm": 1e2, "inch": 1.0 / 0.0254}
 """How many of a unit of length are one metre."""
@@ -34,8 +34,8 @@ def marker_mistakes(name: str, sensor: MarkerSensor) -> Iterator[Mistake]:
         line = _pose_line(name, sensor, matrix) if turned else f"sensors.{name}.axes: {axes_of(matrix)}"
         word = "turned" if turned else "left-handed"
         yield Mistake(
-            f"marker axes {word}", f"the axes of {name} are {word} ({axes_of(matrix)})", line, name, 0.5,
-            _space(matrix),
+            f"marker axes {word}", f"the axes of {name} are {word} ({axes_of(matrix)})", line, name,
+            commonness(matrix), _space(matrix),
         )  # fmt: skip
     for axis, vector in zip("xyz", np.eye(3), strict=True):
         for degrees in SETUP_CHECK.mount_turns_deg:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.settings.setup_check import SETUP_CHECK
 
 Poses = Mapping[str, PoseTrajectory]
 
@@ -47,6 +48,16 @@ def signed_permutations() -> list[np.ndarray]:
             matrix[np.arange(3), order] = signs
             found.append(matrix)
     return found
+
+
+def commonness(matrix: np.ndarray) -> float:
+    """How common a signed permutation is among mistakes of axes: 1 for one that takes a single act (a quarter or half
+    turn about one axis, one axis reversed, two exchanged, all reversed), and the share of mistakes for one that takes
+    two of them at once."""
+    along = np.count_nonzero(np.diag(matrix)) == 3
+    turned = np.linalg.det(matrix) > 0.0
+    exchanged = np.trace(matrix) == 1.0 and (turned or matrix.min() == 0.0)
+    return 1.0 if along or exchanged else SETUP_CHECK.prior_of_mistake
 
 
 def axes_of(matrix: np.ndarray) -> str:

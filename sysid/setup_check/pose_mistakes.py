@@ -12,7 +12,7 @@ wrong way round, fingers that are exchanged. They are tried where the start that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -21,28 +21,52 @@ from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import Rig
 from sim_core.rigs.trajectory import PoseTrajectory
+from sysid.observations.checks.start_poses import reach_of
 from sysid.settings.setup_check import SETUP_CHECK
-from sysid.setup_check.mistakes import Mistake, Poses, axes_of, numbers, pose_text, signed_permutations
+from sysid.setup_check.mistakes import Mistake, Poses, axes_of, commonness, numbers, pose_text, signed_permutations
 
 Frame = tuple[np.ndarray, Rotation]
 Posed = tuple[np.ndarray, Rotation]
 """Positions [m] ``(n, 3)`` and rotations."""
 
+Mend = Callable[[Poses], dict[str, PoseTrajectory]]
+"""The true poses of the recorded ones."""
 
-def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> Iterator[Mistake]:
-    """All that are tried of the end effectors; ``reach_m``: distance from the rig's start within which a recording may
-    begin."""
+
+def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> list[Mistake]:
+    """All that are tried of the end effectors, the most common first; ``reach_m``: distance from the rig's start within
+    which a recording may begin."""
+    found: list[Mistake] = []
+    anchored = []
     for name, trajectory in poses.items():
-        start = rig.end_effectors[name].start
-        rest: Frame = (start.position(), start.rotation())
-        first = _first(trajectory)
-        yield from _anchored(name, rest, first)
-        yield from _exchanged_axes(name, rest, first, reach_m)
-        yield from _told_inversely(name, rest, first, reach_m)
+        rest, first = _rest(rig, name), _first(trajectory)
+        anchored.append(list(_anchored(name, rest, first)))
+        found += anchored[-1]
+        found += _exchanged_axes(name, rest, first, reach_m)
+        found += _told_inversely(name, rest, first, reach_m)
     names = list(poses)
+    found = [replace(mistake, weight=mistake.weight / len(names)) for mistake in found]  # it may be in any hand
     for k, one in enumerate(names):
-        for other in names[k + 1 :]:
-            yield _swapped(rig, one, other)
+        found += [_swapped(rig, one, other) for other in names[k + 1 :]]
+    if len(names) > 1:
+        found += _of_all(names, anchored)
+    return sorted(found, key=lambda mistake: -mistake.weight)
+
+
+def begins_elsewhere(rig: Rig, poses: Poses) -> bool:
+    """Whether any hand begins farther from the rig's start, or turned by more against it, than it moves from there."""
+    for name, trajectory in poses.items():
+        rest, first = _rest(rig, name), _first(trajectory)
+        moves, turns = reach_of(rig, name, trajectory.positions, trajectory.quaternions)
+        turn = np.degrees((rest[1].inv() * first[1]).magnitude())
+        if turn > turns or np.linalg.norm(first[0] - rest[0]) > moves:
+            return True
+    return False
+
+
+def _rest(rig: Rig, name: str) -> Frame:
+    start = rig.end_effectors[name].start
+    return start.position(), start.rotation()
 
 
 def _first(trajectory: PoseTrajectory) -> Frame:
@@ -59,17 +83,16 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
     if not turned and not far:
         return
     none, still = np.zeros(3), Rotation.identity()
-    tools: list[tuple[np.ndarray, Rotation]] = []
-    if far:
-        along = int(np.argmax(np.abs(shift)))
-        single = np.where(np.arange(3) == along, shift, 0.0)
-        tools += [(single, still)] if not np.allclose(single, shift, atol=1e-5) else []
-        tools.append((shift, still))
+    # A flange is beside the tool along one of its axes, whether or not the hand begins at the rig's start.
+    alone = [axis for axis in np.diag(shift) if np.linalg.norm(axis) > SETUP_CHECK.same_place_m]
+    offsets = [(axis, 1.0) for axis in alone]
+    if len(alone) > 1:  # two offsets are two mistakes at once
+        offsets.append((shift, SETUP_CHECK.prior_of_mistake))
+    tools: list[tuple[np.ndarray, Rotation, float]] = [(offset, still, common) for offset, common in offsets]
     if turned:
-        tools.append((none, turn))
-    if far and turned:
-        tools.append((shift, turn))
-    for offset, rotation in tools:
+        tools.append((none, turn, 1.0))
+        tools += [(offset, turn, common) for offset, common in offsets]
+    for offset, rotation, common in tools:
         moved = bool(np.linalg.norm(offset) > 0.0)
         what = f"a point {1e3 * np.linalg.norm(offset):.4g} mm off, at {numbers(offset)} m in its axes" if moved else ""
         angle = np.degrees(rotation.magnitude())
@@ -81,11 +104,11 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
             f"the poses of {name} are of another frame of the tool (the flange, say): "
             + " with ".join(filter(None, [what, how])),
             f"end_effectors.{name}.topics.tool: {pose_text(back, inverse)}",
-            name, 2.0, poses=_of_one(name, partial(_of_tool, back, inverse)),
+            name, 2.0 * common, poses=_of_one(name, partial(_of_tool, back, inverse)),
         )  # fmt: skip
     base_turn = first[1] * rest[1].inv()
-    bases: list[tuple[np.ndarray, Rotation]] = [(first[0] - base_turn.apply(rest[0]), base_turn)] if turned else []
-    bases += [(rest[1].apply(offset), still) for offset, turned_too in tools if turned_too is still] if far else []
+    bases = [(rest[1].apply(offset), still) for offset, _ in offsets]
+    bases += [(first[0] - base_turn.apply(rest[0]), base_turn)] if turned else []
     for offset, rotation in bases:
         inverse = rotation.inv()
         back = inverse.apply(-offset)
@@ -110,7 +133,7 @@ def _exchanged_axes(name: str, rest: Frame, first: Frame, reach_m: float) -> Ite
         proper = Rotation.from_matrix(matrix if turned else -matrix)
         yield Mistake(
             f"base axes {word}", f"the axes of the positions of {name} are {word} ({axes_of(matrix)})",
-            f"end_effectors.{name}.topics.axes: {axes_of(matrix)}", name, 0.5,
+            f"end_effectors.{name}.topics.axes: {axes_of(matrix)}", name, 0.5 * commonness(matrix),
             poses=_of_one(name, partial(_along, matrix)),
         )  # fmt: skip
         if not turned or np.degrees((proper.inv() * first[1] * rest[1].inv()).magnitude()) < 10.0:
@@ -119,7 +142,7 @@ def _exchanged_axes(name: str, rest: Frame, first: Frame, reach_m: float) -> Ite
                 f"base axes {word}", f"the axes of the base of {name} are {word} ({axes_of(matrix)})",
                 f"end_effectors.{name}.topics.base: {pose_text(np.zeros(3), back)}" if turned
                 else f"end_effectors.{name}.topics.axes: {axes_of(matrix)}, and orientations in these axes",
-                name, 0.5,
+                name, 0.5 * commonness(matrix),
                 poses=_of_one(name, partial(_turned, matrix, back, turned)),
             )  # fmt: skip
 
@@ -148,6 +171,27 @@ def _swapped(rig: Rig, one: str, other: str) -> Mistake:
     )  # fmt: skip
 
 
+def _of_all(names: Sequence[str], anchored: Sequence[Sequence[Mistake]]) -> Iterator[Mistake]:
+    """One kind of mistake in the poses of all end effectors at once, as of one driver that publishes all of them: the
+    last one of each, with which it begins at the rig's start."""
+    for kind in dict.fromkeys(mistake.kind for own in anchored for mistake in own):
+        whole = [[mistake for mistake in own if mistake.kind == kind] for own in anchored]
+        if all(whole):
+            each = [own[-1] for own in whole]
+            yield Mistake(
+                kind, "; ".join(mistake.words for mistake in each), ", ".join(mistake.line for mistake in each),
+                names[0], max(mistake.weight for mistake in each),
+                poses=partial(_mended_in_turn, [mistake.poses for mistake in each]),
+            )  # fmt: skip
+
+
+def _mended_in_turn(mends: Sequence[Mend | None], poses: Poses) -> dict[str, PoseTrajectory]:
+    for mend in mends:
+        assert mend is not None
+        poses = mend(poses)
+    return dict(poses)
+
+
 def _of_tool(offset: np.ndarray, turn: Rotation, position: np.ndarray, rotation: Rotation) -> Posed:
     return position + rotation.apply(offset), rotation * turn
 
@@ -164,7 +208,7 @@ def _turned(matrix: np.ndarray, back: Rotation, proper: bool, position: np.ndarr
     return position @ matrix, back * rotation if proper else back * rotation * back.inv()
 
 
-def _of_one(name: str, mend: Callable[[np.ndarray, Rotation], Posed]) -> Callable[[Poses], dict[str, PoseTrajectory]]:
+def _of_one(name: str, mend: Callable[[np.ndarray, Rotation], Posed]) -> Mend:
     """The poses of one end effector mended."""
 
     def mended(poses: Poses) -> dict[str, PoseTrajectory]:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sim_core.rigs import WrenchSensor
 from sim_core.rigs.observers import NEWTONS
 from sysid.settings.setup_check import SETUP_CHECK
-from sysid.setup_check.mistakes import Mistake, axes_of, pose_text, signed_permutations
+from sysid.setup_check.mistakes import Mistake, axes_of, commonness, pose_text, signed_permutations
 
 FORCE_UNITS = {unit: 1.0 / newtons for unit, newtons in NEWTONS.items() if unit != "N"}
 """How many of a unit are one newton."""
@@ -47,16 +47,15 @@ def wrench_mistakes(name: str, sensor: WrenchSensor) -> Iterator[Mistake]:
             continue
         if turned:
             angle = np.degrees(Rotation.from_matrix(matrix).magnitude())
-            common = np.isclose(np.abs(matrix[2, 2]), 1.0) or np.isclose(angle, 180.0)
             yield Mistake(
                 "wrench axes turned", f"the axes of {name} are turned by {angle:.0f} degrees ({axes_of(matrix)})",
-                _pose_line(name, sensor, matrix), name, 1.0 if common else 0.5, _map(matrix, matrix),
+                _pose_line(name, sensor, matrix), name, commonness(matrix), _map(matrix, matrix),
             )  # fmt: skip
         elif not np.array_equal(matrix, -one):
-            for torque, weight in ((matrix, 0.5), (-matrix, 0.5)):
+            for torque in (matrix, -matrix):
                 yield Mistake(
                     "wrench axes left-handed", f"the axes of {name} are left-handed ({axes_of(matrix)})",
-                    axes(matrix, torque), name, weight, _map(matrix, torque),
+                    axes(matrix, torque), name, 0.5 * commonness(matrix), _map(matrix, torque),
                 )  # fmt: skip
     for axis, vector in zip("xyz", one, strict=True):
         for degrees in SETUP_CHECK.mount_turns_deg:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from importlib.metadata import version
@@ -342,3 +343,11 @@ def test_settings_are_listed_with_unit_meaning_and_origin(capsys: pytest.Capture
 )
 def test_an_option_takes_all_the_words_behind_it(words: str, expected: str) -> None:
     assert app.each_named(words.split()) == expected.split()
+
+
+def test_warnings_are_sentences(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without the line of the program that gave them; those that are for developers go where they went."""
+    with pytest.warns(RuntimeWarning, match="divide by zero"), app._warnings_in_words():
+        warnings.warn("card.stl: Seams were welded.", UserWarning, stacklevel=1)
+        warnings.warn("divide by zero", RuntimeWarning, stacklevel=1)
+    assert capsys.readouterr().err == "warning: card.stl: Seams were welded.\n"

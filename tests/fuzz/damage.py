@@ -86,9 +86,9 @@ def sound(folder: Path) -> dict[str, Path]:
         out.camera_info("camera_info", 10**9, np.diag([500.0, 500.0, 1.0]), np.zeros(5), "plumb_bob", 640, 480, "cam")
     chunked = next(bag.glob("*.mcap"))
     found = {"mcap": chunked, "metadata": bag / "metadata.yaml"}
-    found["mcap_records"] = _repacked(chunked, folder / "records.mcap", use_chunking=False)
-    found["mcap_plain"] = _repacked(chunked, folder / "plain.mcap", compression=CompressionType.NONE)
-    found["mcap_lz4"] = _repacked(chunked, folder / "lz4.mcap", compression=CompressionType.LZ4)
+    found["mcap_records"] = repacked(chunked, folder / "records.mcap", use_chunking=False)
+    found["mcap_plain"] = repacked(chunked, folder / "plain.mcap", compression=CompressionType.NONE)
+    found["mcap_lz4"] = repacked(chunked, folder / "lz4.mcap", compression=CompressionType.LZ4)
     for name, mode in (("db3", CompressionMode.NONE), ("db3_messages", CompressionMode.MESSAGE)):
         writer = Writer(folder / name, version=9, storage_plugin=StoragePlugin.SQLITE3)
         writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -228,7 +228,8 @@ def _try(name: str, original: Path, data: bytes, folder: Path) -> None:
     recording.summary()
 
 
-def _repacked(source: Path, target: Path, **options: object) -> Path:
+def repacked(source: Path, target: Path, **options: object) -> Path:
+    """The messages of an MCAP file in another one, written with other options."""
     with source.open("rb") as old, target.open("wb") as new:
         writer = McapWriter(new, **options)  # type: ignore[arg-type]
         writer.start(profile="ros2", library="test")

@@ -23,6 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from damage import repacked
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -101,6 +102,16 @@ def write(path: Path, items: list[tuple[str, str, int, Any]]) -> None:
                 made[topic, kind] = out.add_connection(topic, kind, typestore=STORE)
             raw = message if isinstance(message, bytes) else STORE.serialize_cdr(message, message.__msgtype__)
             out.write(made[topic, kind], t, raw)
+
+
+def as_pages(source: Path, target: Path) -> Path:
+    """The messages of a bag in a file of sqlite."""
+    with Reader(source) as old, Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as new:
+        made = {c.topic: new.add_connection(c.topic, c.msgtype, typestore=STORE) for c in old.connections}
+        for connection, stamp, raw in old.messages():
+            new.write(made[connection.topic], stamp, raw)
+    (file,) = target.glob("*.db3")
+    return file
 
 
 def places(message: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -253,6 +264,15 @@ def of_files(path: Path, draw: random.Random) -> Mutation:
     return Mutation(f"files: {change}")
 
 
+def of_storage(raw: bytes, draw: random.Random) -> tuple[bytes, list[int]]:
+    """One to three bits of a file."""
+    out = bytearray(raw)
+    where = [draw.randrange(len(out)) for _ in range(draw.randint(1, 3))]
+    for at in where:
+        out[at] ^= 1 << draw.randrange(8)
+    return bytes(out), where
+
+
 def of_table(folder: Path, draw: random.Random) -> Mutation:
     """One cell, name, separator or line of a table."""
     file = folder / "pull.csv"
@@ -298,6 +318,9 @@ def of_rig(folder: Path, draw: random.Random) -> Mutation:
     return Mutation(f"rig: {edit}")
 
 
+MOST_LOST = {".mcap": 2, ".db3": 32}
+"""Messages that one bit damages at most: the record that it is in and the next one; those of a page of 4 KiB."""
+
 MESSAGES: tuple[Callable[..., Mutation], ...] = (of_message, of_times, of_bytes, of_topic)
 FOLDERS: tuple[Callable[..., Mutation], ...] = (of_table, of_mesh, of_rig)
 
@@ -309,6 +332,11 @@ class Trial:
         self.folder = folder
         self.bag = bag(folder / "bag")
         self.items = messages(self.bag)
+        (chunked,) = self.bag.glob("*.mcap")
+        self.stored = {
+            "records.mcap": repacked(chunked, folder / "records.mcap", use_chunking=False).read_bytes(),
+            "pages.db3": as_pages(self.bag, folder / "pages").read_bytes(),
+        }
         self.set = folder / "set"
         self.set.mkdir()
         points = [(10.0 * i, 10.0 * j, 0.0) for i in range(5) for j in range(3)]
@@ -326,11 +354,18 @@ class Trial:
     def judge(self, seed: int) -> tuple[str, str]:
         """What was done, and what is wrong with what comes of it, '' if nothing."""
         draw = random.Random(seed)
-        change = draw.choice([*MESSAGES, *MESSAGES, of_files, *FOLDERS])
+        change = draw.choice([*MESSAGES, *MESSAGES, of_files, of_storage, of_storage, *FOLDERS])
         with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             work = Path(place) / "work"
             try:
+                if change is of_storage:
+                    name = draw.choice(sorted(self.stored))
+                    raw, where = of_storage(self.stored[name], draw)
+                    work.mkdir()
+                    (work / name).write_bytes(raw)
+                    words = f"{name}: a bit of each of the bytes {where} of {len(raw)}"
+                    return words, self._read_stored(work / name, len(where) * MOST_LOST[Path(name).suffix])
                 if change in FOLDERS:
                     work.mkdir()
                     for file in self.set.iterdir():
@@ -352,6 +387,21 @@ class Trial:
             load_run(rig, work / "pull.csv")
 
         return fault_of(load)[1]
+
+    def _read_stored(self, file: Path, most: int) -> str:
+        """Of a file with some bits changed, no more messages are lost than those bits can hold, and not silently."""
+        recording, fault = fault_of(lambda: read_recording(file, need_pose=False))
+        if recording is None:
+            return fault or "refused: " + refusal(lambda: read_recording(file, need_pose=False))
+        for step in (lambda: examine(recording), recording.summary, lambda: load_run(self.rig, file)):
+            fault = fault_of(step)[1]
+            if fault:
+                return fault
+        found = counts(recording)
+        lost = sum(max(0, count - found.get(topic, 0)) for topic, count in self.whole.items())
+        if lost > most:
+            return f"{lost} messages lost, where {most} could be damaged"
+        return "" if not lost or recording.warnings else f"{lost} messages lost without a word"
 
     def _read_bag(self, work: Path, done: Mutation) -> str:
         recording, fault = fault_of(lambda: read_recording(work, need_pose=False))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings_with_a_fault import FAULTS, RIG, SOUND, TURNED, Press, inverted, press, write, wrong_order
+from scipy.spatial.transform import Rotation
 
 from sim_core.errors import RecordingError
 from sim_core.rigs import Rig, load_rig
@@ -157,6 +158,24 @@ def test_a_pose_that_freezes_stops_a_fit_where_sensors_go_on(tmp_path: Path) -> 
     found = [f for f in findings(write(recording, tmp_path / "bag"), load_rig(RIG)) if f.name == "frozen_pose"]
     assert [f.severity for f in found] == ["stops a fit"]
     assert found[0].times[0] == pytest.approx(2.0, abs=0.02) and found[0].times[1] == pytest.approx(3.5, abs=0.02)
+
+
+def test_positions_in_another_unit_are_told_wherever_a_motion_begins(tmp_path: Path) -> None:
+    """Elsewhere than the rig's start in any unit, so that it cannot be told which: no motion is larger than the rig."""
+    recording = press()
+    recording.pose.position = (recording.pose.position + [0.05, -0.04, 0.02]) / 0.0254
+    (found,) = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
+    assert found.name == "length_unit" and "moves 2.09 m, where the rig is 0.098 m large" in found.problem
+
+
+@pytest.mark.parametrize(("degrees", "said"), [(1.5, []), (30.0, ["start_orientation"])])
+def test_a_hand_that_begins_turned_is_said(degrees: float, said: list[str], tmp_path: Path) -> None:
+    """Its mount is known to half a degree about each axis; it does not turn by itself."""
+    recording = press()
+    turn = Rotation.from_euler("y", degrees, degrees=True)
+    recording.pose.quaternion = (Rotation.from_quat(recording.pose.quaternion) * turn).as_quat()
+    found = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
+    assert [f.name for f in found] == said and all(f.severity == "note" for f in found)
 
 
 def test_a_component_that_nothing_measures_is_left_out(tmp_path: Path) -> None:

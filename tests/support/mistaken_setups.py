@@ -1,44 +1,16 @@
-"""Discrete mistakes of set-up, drawn at random and made in sound recordings, and what the check says of them.
-
-Run by itself it prints a table of kinds against rigs: ``python tests/support/mistaken_setups.py --count 100``. The
-mistakes are written out here, in terms of messages, without the tables that the check has.
-"""
+"""Discrete mistakes of set-up that are made in sound recordings, in terms of messages, without the tables that the
+check has. ``graded_setups.py`` draws them at random and grades what the check says."""
 
 from __future__ import annotations
 
-import argparse
-import tempfile
-import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig, load_rig
-from sim_core.rigs.motion import load_experiment
-from sysid.model.load import lined_up
-from sysid.observations.checks import Finding, examine
-from sysid.observations.observations import Run
-from sysid.observations.rig_topics import topics_of
-from sysid.recording import Recording, read_recording
-from sysid.recording.bag import open_bag
-from sysid.recording.notes import Notes
-from sysid.setup_check.check import notes_of
-from sysid.setup_check.compare import Comparison, compare
-from sysid.simulate import simulate_to_bag
-
-SETUPS = (
-    ("strip_coarse", "pull_taut"),
-    ("gel_sensor", "press_twist"),
-    ("card_press", "press_post"),
-    ("glove_finger", "press_far"),
-    ("proof_bench", "press_twist"),
-)
-"""Five rigs and the experiments that are recorded with them."""
+from sim_core.rigs import Rig
+from sysid.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -253,85 +225,3 @@ def makers(recording: Recording) -> list[Make]:
     if len(recording.poses) > 1:
         found += [fingers]
     return found
-
-
-def sound(rig: Rig, experiment: str, folder: Path) -> Recording:
-    """A sound recording of an experiment."""
-    bag = folder / f"{rig.name}+{experiment}"
-    if not bag.exists():
-        simulate_to_bag(rig, load_experiment(experiment), bag)
-    return read_recording(bag, topics_of(rig, open_bag(bag, Notes()).topics)[0])
-
-
-def judged(rig: Rig, recording: Recording, path: Path) -> tuple[tuple[Finding, ...], Comparison | None]:
-    """All findings, and the comparison with the rig; None where the recording cannot be lined up."""
-    findings, seen = examine(recording, rig)
-    try:
-        run: Run = lined_up(rig, seen, findings, path)
-        return findings, compare(rig, run)
-    except ThinshellError:
-        return findings, None
-
-
-def outcome(rig: Rig, made: Made, path: Path) -> str:
-    """'first', 'among', 'other' (something else is named), or 'silent'."""
-    findings, comparison = judged(rig, made.recording, path)
-    if any(f.name in made.names and f.severity != "note" for f in findings):
-        return "first"
-    if comparison is None:
-        return "refused"
-    named = [t.mistake.kind for t in comparison.named]
-    if named and named[0] in made.names:
-        return "first"
-    if any(kind in made.names for kind in named):
-        return "among"
-    if named or any(f.severity == "stops a fit" for f in findings):
-        return "other"
-    if any(f.name in made.names for f in notes_of(comparison)):
-        return "note"
-    everything = comparison.as_written.values()
-    if comparison.followed and all(e.error <= 0.08 and abs(np.log(e.size)) < 0.7 for e in everything):
-        return "no effect"
-    return "silent"
-
-
-def cases(count: int, seed: int, folder: Path, only: str = "") -> Iterator[tuple[str, Made, str]]:
-    """Rig, mistake and outcome of so many random mistakes."""
-    setups = [(load_rig(rig), experiment) for rig, experiment in SETUPS if only in rig]
-    recordings = [sound(rig, experiment, folder) for rig, experiment in setups]
-    for k in range(count):
-        draw = np.random.default_rng([seed, k])
-        which = k % len(setups)
-        rig, recording = setups[which][0], recordings[which]
-        possible = makers(recording)
-        made = possible[int(draw.integers(len(possible)))](rig, recording, draw)
-        yield rig.name, made, outcome(rig, made, folder / rig.name)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rig", default="")
-    parser.add_argument("--folder", type=Path)
-    given = parser.parse_args()
-    table: Counter[tuple[str, str, str]] = Counter()
-    with tempfile.TemporaryDirectory() as temporary:
-        begun = time.process_time()
-        for rig, made, found in cases(given.count, given.seed, given.folder or Path(temporary), given.rig):
-            table[made.kind, rig, found] += 1
-            print(
-                f"{rig:<14}{made.kind:<22}{made.detail:<32}{found:<10}{time.process_time() - begun:8.0f} s", flush=True
-            )
-    outcomes = sorted({key[2] for key in table})
-    print(f"\n{'mistake':<22}" + "".join(f"{o:>11}" for o in outcomes))
-    for kind in sorted({key[0] for key in table}):
-        row = [sum(n for (k, _, o), n in table.items() if k == kind and o == out) for out in outcomes]
-        print(f"{kind:<22}" + "".join(f"{n:>11}" for n in row))
-
-
-if __name__ == "__main__":
-    import warnings
-
-    warnings.simplefilter("ignore")
-    main()

@@ -1,6 +1,7 @@
 """Recordings of which bytes are missing or wrong: what is whole is read, and what is lost is said."""
 
 import os
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 
 from sim_core.errors import RecordingError
 from sysid.recording import read_recording
+from sysid.recording.sqlite_pages import Pages
 
 ROOT = Path(os.environ.get("THINSHELL_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SHARED = ROOT / "faults" / "damaged_records"
@@ -79,7 +81,19 @@ def test_a_truncated_database(bag: Path, tmp_path: Path) -> None:
     made = rewrite(bag, tmp_path / "made", StoragePlugin.SQLITE3, CompressionMode.NONE)
     path = made / "made.db3"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(RecordingError, match=r"not a readable rosbag2 database.*\.recover"):
+    recording = read_recording(made)
+    count = len(recording.poses["ee"])
+    assert 0.3 * COUNT < count < COUNT and "the database is damaged" in notes(recording)
+    written = np.round(1e5 * recording.poses["ee"].position[:, 0])  # a page may lie behind that of later messages
+    assert (np.diff(written) > 0.0).all() and written[-1] < COUNT
+    np.testing.assert_array_equal(recording.poses["ee"].position[:, 0], 1e-5 * written)
+
+
+def test_a_database_of_which_nothing_is_left(bag: Path, tmp_path: Path) -> None:
+    made = rewrite(bag, tmp_path / "made", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = made / "made.db3"
+    path.write_bytes(path.read_bytes()[:4096])
+    with pytest.raises(RecordingError, match="not a readable rosbag2 database"):
         read_recording(made)
 
 
@@ -162,6 +176,59 @@ def test_a_damaged_page_of_a_database_loses_itself_alone(healthy: Path, tmp_path
     found = len(recording.poses["ee"]) + len(recording.wrenches["sensor"])
     assert 0.9 * 2 * COUNT < found < 2 * COUNT
     assert any("the database is damaged" in note.text for note in recording.notes)
+
+
+def test_a_database_is_read_without_its_first_page(healthy: Path, tmp_path: Path) -> None:
+    """The schema lies there: no query can be asked. Messages that go on in further pages are read whole."""
+    made = rewrite(healthy, tmp_path / "sql", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = next(made.glob("*.db3"))
+    whole = read_recording(path)
+    data = bytearray(path.read_bytes())
+    data[100:4096] = bytes(3996)
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert_whole(recording)
+    for kind, name, stream in whole.streams():
+        (again,) = (s for k, n, s in recording.streams() if (k, n) == (kind, name))
+        np.testing.assert_array_equal(again.t, stream.t)
+    long = "a" * 9000
+    with sqlite3.connect(tmp_path / "long.db3") as db:
+        db.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        db.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+                       [(1, 10**18 + k, f"{k}{long[: 97 * k]}".encode()) for k in range(90)])  # fmt: skip
+    db.close()
+    pages = Pages(tmp_path / "long.db3")
+    rows = {row.number: row for row in pages.rows() if len(row.values) == 4}
+    assert len(rows) == 90
+    for number, row in rows.items():
+        k = number - 1
+        assert pages.row(row.at, blobs=True).values == (None, 1, 10**18 + k, f"{k}{long[: 97 * k]}".encode())
+    pages.close()
+
+
+@pytest.mark.parametrize("which", [0, -1])
+def test_a_topic_that_is_misspelt_in_one_of_its_records_is_read(bag: Path, tmp_path: Path, which: int) -> None:
+    """The summary has a checksum, and what it says holds if that agrees; else the first record does."""
+    path = unchunked(bag / "press.mcap", tmp_path / "press.mcap")
+    data = bytearray(path.read_bytes())
+    at = data.index(b"current_pose", 0 if which == 0 else data.rindex(b"current_pose") - 4)
+    data[at] ^= 1
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert_whole(recording)
+    assert "where the file says '/current_pose' elsewhere" in notes(recording) or which == -1
+
+
+def test_messages_of_a_channel_without_its_record_are_read(bag: Path, tmp_path: Path) -> None:
+    """Its length is damaged: where records go on behind it is found by the channels that the summary has."""
+    path = unchunked(bag / "press.mcap", tmp_path / "press.mcap")
+    data = bytearray(path.read_bytes())
+    begin, _ = records(path, CHANNEL)[0]
+    data[begin - 5] ^= 0x80
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert_whole(recording)
+    assert "are no records and left out" in notes(recording)
 
 
 def test_what_was_damaged_in_the_field_is_read() -> None:

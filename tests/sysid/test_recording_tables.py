@@ -109,6 +109,12 @@ def test_names_of_columns_are_mapped(tmp_path: Path) -> None:
         read(tmp_path, MACHINE)
 
 
+def test_names_that_are_known_need_no_mapping_beside_others(tmp_path: Path) -> None:
+    text = MACHINE.replace("Zeit", "time [s]")
+    recording = read(tmp_path, text, TopicNames(columns={name: MEANT[name] for name in ("Kraft", "Weg (mm)")}))
+    assert_plain(recording)
+
+
 def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [s],x [furlong],Force [mN],x [m]\n\n# later\n0,1,2,3\n1,one,2,3\n2,1,2,two\n")
     (tmp_path / "b.csv").write_text("x [m]\n0\n1\n")
@@ -127,6 +133,7 @@ def test_commas_between_columns_and_in_numbers_are_said(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="commas part the columns and the decimals") as caught:
         read(tmp_path, "time [s],x [m]\n0,0,0615\n0,01,0,0616\n")
     assert "line 2 has 3 cells, the header 2: '0,0,0615'" in str(caught.value)
+    assert "table_columns" not in caught.value.remedy
 
 
 def test_thousands_are_not_guessed(tmp_path: Path) -> None:
