@@ -20,7 +20,8 @@ def generate_launch_description() -> LaunchDescription:
         cmd=[
             sys.executable, "-m", "thinshell_ros.closed_loop", LaunchConfiguration("task"),
             "--out", LaunchConfiguration("out"), "--rounds", LaunchConfiguration("rounds"),
-            "--budget", LaunchConfiguration("budget"), "--namespace", "/robot", "--simulated-time",
+            "--budget", LaunchConfiguration("budget"), "--namespace", "/robot",
+            "--simulated", LaunchConfiguration("robot"),
         ],
         output="screen",
     )  # fmt: skip

@@ -86,6 +86,13 @@ class Outputs:
         self._events = node.create_publisher(DiagnosticArray, EVENT_TOPIC, EVENTS)
         self._clock = node.create_publisher(Clock, "/clock", LATEST) if give_clock else None
 
+    def use(self, rig: Rig, channels: Mapping[str, Channel]) -> None:
+        """Publish for another rig, of the same channels, from now on."""
+        self.flush()
+        self._hardware, self._channels = rig.name, channels
+        self._step_s = rig.solver.dt_s
+        self._cameras = {n: c for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)}
+
     def begin(self, answer: protocol.Ready) -> None:
         """Simulated time 0 is now; stamps go on even after another simulation."""
         self.flush()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_task import TASK, small_task
+from small_task import RIG, TASK, small_task
 
 from sim_core.tasks import TaskRollouts, load_task
 from sim_core.tasks.actions import OUT_AND_BACK
@@ -37,6 +37,20 @@ def test_a_rollout_does_not_depend_on_those_before(tmp_path: Path) -> None:
     assert rollouts.outcome(one).reward == first
     assert TaskRollouts(small_task(tmp_path)).outcome(one).reward == first
     assert rollouts.gradient(one).reward == pytest.approx(first, rel=1e-6)
+
+
+def test_the_target_may_be_made_on_another_rig(tmp_path: Path) -> None:
+    """So the goal stays where it was while the rig is amended; rigs are found beside the file of the task."""
+    given = TaskRollouts(small_task(tmp_path, "forming"))
+    softer = RIG.replace("E_pa: 2.0e9", "E_pa: 1.6e9")
+    (tmp_path / "softer.yaml").write_text(softer)
+    text = TASK.replace("REWARD", "forming").replace("rig: RIG", "rig: softer.yaml\ntarget_rig: rig.yaml")
+    (tmp_path / "amended.yaml").write_text(text)
+    amended = TaskRollouts(load_task(str(tmp_path / "amended.yaml")))
+    assert (amended._target["sheet"] == given._target["sheet"]).all()
+    (tmp_path / "moved.yaml").write_text(text.replace("target_rig: rig.yaml", ""))
+    moved = TaskRollouts(load_task(str(tmp_path / "moved.yaml")))
+    assert np.abs(moved._target["sheet"] - given._target["sheet"]).max() > 1e-6
 
 
 def test_a_force_above_the_limit_ends_the_rollout(tmp_path: Path) -> None:
