@@ -319,23 +319,16 @@ def _periods(log: Log, fault: Fault, state: str) -> tuple[int, bool]:
 
 def _lacks(bag: Path, fault: Fault, commands: int, state: str, reason: str) -> str:
     """What the recording lacks of what it should hold, '' if nothing."""
-    counts = read_recording(bag).provenance.message_counts
-    found = counts.get(f"{PLACE}/target_pose", 0)
-    if fault.kind == "recorder_killed":
-        return "" if counts else "everything"
-    if found < 0.98 * commands:
-        return f"{commands - found} of {commands} commands"
-    if state == "aborted" and reason and reason not in _told(bag):
-        return "why it was aborted"
-    return ""
-
-
-def _told(bag: Path) -> str:
-    """What the status in a recording says."""
+    if fault.kind == "recorder_killed":  # what was written before can be read
+        return "" if read_recording(bag).provenance.message_counts else "everything"
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        found = sum(c.msgcount for c in reader.connections if c.topic == f"{PLACE}/target_pose")
         status = [c for c in reader.connections if c.topic == f"{PLACE}/{NODE}/status"]
         messages = (reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections=status))
-        return "\n".join(pair.value for message in messages for pair in message.values)
+        told = {pair.value for message in messages for pair in message.values}
+    if found < 0.98 * commands:
+        return f"{commands - found} of {commands} commands"
+    return "why it was aborted" if state == "aborted" and reason and reason not in told else ""
 
 
 def table(ends: list[Ended]) -> str:
