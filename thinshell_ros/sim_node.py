@@ -19,7 +19,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
@@ -30,7 +29,7 @@ from thinshell_ros.health import Announcer, CommandLog, Level, physics_report, t
 from thinshell_ros.outputs import Outputs
 from thinshell_ros.parameters import value_of, warn_of_unknown
 from thinshell_ros.poses import Floats, Pose, PoseGate, unstamped, velocity_fault
-from thinshell_ros.qos import LATEST
+from thinshell_ros.qos import LATEST, overridable
 from thinshell_ros.runner import run
 from thinshell_ros.sim_parameters import SimParameters
 from thinshell_ros.streams import Channel, channels_of, twist_topic
@@ -65,12 +64,11 @@ class SimNode(Node):
         self._published = [c.topic for c in channels.values()]
         self._commanded = [effector.topics.target_pose for effector in effectors.values()]
         for name, topic in zip(effectors, self._commanded, strict=True):
-            overridable = QoSOverridingOptions.with_default_policies()
             take = partial(self._on_target, name)
-            self.create_subscription(PoseStamped, topic, take, LATEST, qos_overriding_options=overridable)
+            self.create_subscription(PoseStamped, topic, callback=take, **overridable(LATEST))
             turn = partial(self._on_twist, name)
             twists = twist_topic(topic)
-            self.create_subscription(TwistStamped, twists, turn, LATEST, qos_overriding_options=overridable)
+            self.create_subscription(TwistStamped, twists, callback=turn, **overridable(LATEST))
         apart = ReentrantCallbackGroup()  # a service that waits for its answer must not hold up the timers
         self.create_service(Trigger, "~/reset", self._on_reset, callback_group=apart)
         self.create_service(Trigger, "~/snapshot", self._on_snapshot, callback_group=apart)

@@ -11,7 +11,7 @@ import random
 import re
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -88,8 +88,8 @@ def drawn(number: int, seed: int) -> tuple[Fault, random.Random]:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a replay ended: with which ``state``, after how many control periods in which a limit was ``exceeded``,
-    whether it ended ``early``, whether its sentence ``names`` the cause, and what its recording lacks."""
+    """How a replay ended: with which ``state``, after how many commands that went on although a limit was
+    ``exceeded``, whether it ended ``early``, whether its sentence ``names`` the cause, and what its recording lacks."""
 
     fault: Fault
     state: str
@@ -306,15 +306,24 @@ class Lockstep:
 
 
 def _periods(log: Log, fault: Fault, state: str) -> tuple[int, bool]:
-    """For how many control periods a limit was exceeded before the end; whether that came before one was exceeded."""
+    """How many commands went on with the plan after a limit was exceeded; whether it ended before one was.
+
+    The clock and the readings of a period may be taken in either order: by one period a reading may look older.
+    """
     if fault.kind in UNSEEN:
         return 0, False
     surely = perhaps = fault.at
     if fault.kind not in ("clock_back", "clock_ahead"):
-        surely, perhaps = (first_violation(log, SETTINGS, margin) for margin in (0.03, -0.03))
-    if state == "aborted":
-        return sum(surely < t <= log.ended for t, *_ in log.ticks), log.ended < perhaps
-    return sum(t > surely for t, *_ in log.ticks), False
+        sooner = {f"{name}_timeout_s": getattr(SETTINGS, f"{name}_timeout_s") for name in ("pose", "wrench", "marker")}
+        strict = replace(SETTINGS, **{name: value - PERIOD_S for name, value in sooner.items()})
+        surely, perhaps = first_violation(log, SETTINGS, 0.03), first_violation(log, strict, -0.03)
+    planned = [float(height(np.array(min(t, 1.0)))) for *_, t in log.ticks]
+    went_on = [
+        abs(plan - before) > 1e-7 and commanded is not None and abs(commanded - plan) < 1e-7
+        for before, plan, (_, _, commanded, _) in zip(planned, planned[1:], log.ticks[1:], strict=False)
+    ]
+    after = sum(moved for moved, (t, *_) in zip(went_on, log.ticks[1:], strict=True) if t > surely)
+    return after, state == "aborted" and log.ended < perhaps
 
 
 def _lacks(bag: Path, fault: Fault, commands: int, state: str, reason: str) -> str:

@@ -36,6 +36,7 @@ def test_a_few_random_faults_exceed_nothing_by_more_than_a_period(ros: None, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(10800)
 def test_two_hundred_random_faults_exceed_nothing_by_more_than_a_period(ros: None, tmp_path: Path) -> None:
     ends = []
     with Lockstep(tmp_path) as plant:

@@ -17,6 +17,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_loop"
 CONCEALED = ("end_effector_compliance", "compliance_m_per_n", 1.0e-3)
 
 
+@pytest.mark.timeout(7200)
 def test_a_robot_that_gives_way_is_found_out_in_one_round(ros: None, tmp_path: Path) -> None:
     """Of its motion the strip stays 0.4 mm short in the first round; amended, all that is left is what the first rig
     could not do better either. The watch alarms in the first round and is silent in the last."""
