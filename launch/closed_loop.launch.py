@@ -4,6 +4,7 @@ ros2 launch thinshell_ros closed_loop.launch.py task:=lifting robot:=$PWD/robot.
 """
 
 import sys
+from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, RegisterEventHandler, Shutdown
 from launch.event_handlers import OnProcessExit
@@ -12,6 +13,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+
+NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -24,6 +27,8 @@ def generate_launch_description() -> LaunchDescription:
             "--simulated", LaunchConfiguration("robot"),
         ],
         output="screen",
+        sigterm_timeout="60",
+        sigkill_timeout="60",
     )  # fmt: skip
     return LaunchDescription(
         [
@@ -32,6 +37,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("out", default_value="closed_loop", description="new folder"),
             DeclareLaunchArgument("rounds", default_value="3", description="most rounds"),
             DeclareLaunchArgument("budget", default_value="50", description="rollouts of each optimisation"),
+            DeclareLaunchArgument(
+                "sim_params", default_value=str(NODES / "sim_node.yaml"), description="parameter file of sim_node"
+            ),
             Node(
                 package="thinshell_ros",
                 executable="sim_node",
@@ -39,10 +47,11 @@ def generate_launch_description() -> LaunchDescription:
                 namespace="robot",
                 output="screen",
                 parameters=[
+                    LaunchConfiguration("sim_params"),
                     {
                         "rig": ParameterValue(LaunchConfiguration("robot"), value_type=str),
                         "publish_clock": True,
-                    }
+                    },
                 ],
             ),
             circle,
