@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sim_core.commands import CommandChain
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame
 from sim_core.sensing.observe import frame_of
@@ -49,19 +50,21 @@ class Episode:
 
     def __init__(self, simulation: Simulation, times: np.ndarray) -> None:
         self.simulation, self._times = simulation, times
+        self._commands = CommandChain(simulation.scene.rig)
         self.at = 0
         self.readings: list[dict[str, np.ndarray]] = []
 
     def begin(self, poses: Mapping[str, PoseTrajectory], watch: Watch) -> None:
         """Back to rest, where the poses begin."""
         self.watch = watch
-        self.simulation.reset(self._frames(poses, 0))
+        self.simulation.reset(self._commands.begin(self._frames(poses, 0)))
         self.at, self.readings = 0, [self.simulation.read()]
 
     def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> None:
         """On to the time number ``to``, along poses at all times. Raises ``ConvergenceError``, :class:`EarlyStop`."""
         for k in range(self.at + 1, to + 1):
-            self.simulation.step(self._frames(poses, k), float(self._times[k] - self._times[k - 1]))
+            dt = float(self._times[k] - self._times[k - 1])
+            self.simulation.step(self._commands.advance(self._frames(poses, k), dt), dt)
             self.at = k
             self.readings.append(self.simulation.read())
             self.watch(k, self.readings[-1], self.simulation.halvings)
