@@ -136,7 +136,8 @@ def test_a_site_may_change_the_quality_of_service_of_one_topic_and_of_no_other(r
         offers = client.node.get_publishers_info_by_topic
         client.wait(lambda: offers(f"{place}/marker_tracks"), f"no tracks: {node.output}", START_S)
         assert [o.qos_profile.reliability for o in offers(f"{place}/marker_tracks")] == [best]
-        asks = client.node.get_subscriptions_info_by_topic
+        asks, heard = client.node.get_subscriptions_info_by_topic, [f"{place}/image", f"{place}/image/compressed"]
+        client.wait(lambda: all(asks(topic) for topic in heard), f"it does not listen: {node.output}", START_S)
         found = {t: [a.qos_profile.reliability for a in asks(f"{place}/{t}")] for t in ("image", "image/compressed")}
         assert found == {"image": [ReliabilityPolicy.RELIABLE], "image/compressed": [best]}
         assert node.stop() == 0, node.output
