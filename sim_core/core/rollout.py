@@ -171,9 +171,8 @@ class CoreRollout(CoreState):
             self._library.thinshell_rest(self._handle, 1)
             self._library.thinshell_stand(self._handle, scene.rig.solver.dt_s, *at, int(scene.system.inertia), out)
             return self._chunk(slice(0, 1))
-        self._library.thinshell_iterations(
-            self._handle, max(self._settings.max_iterations, NewtonSettings.max_iterations)
-        )
+        enough = max(self._settings.max_iterations, NewtonSettings.max_iterations)
+        self._library.thinshell_iterations(self._handle, enough)
         dt, failed = 1e-3, 0
         while dt < SETTLED_AFTER_S and failed < FRUITLESS:
             if self._settling_step(dt, inertia=True) is None:

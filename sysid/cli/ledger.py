@@ -31,7 +31,8 @@ def ledger(
 ) -> None:
     """Judge the recordings of a diagnosis again, with other priors or without an effect. No simulation is run.
 
-    Probabilities are those of the linearised model, of the effects of the library and of places with unknown physics.
+    Probabilities are of the effects of the library and of places with unknown physics, of sets of effects that were
+    fitted where they are, of all others linearised.
 
     Example: thinshell ledger diagnosis --without gel_relaxation
     """
@@ -58,14 +59,13 @@ def ledger(
 
 def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
     """The posterior of a ledger as plain data."""
-    from sysid.comparison.evidence import Evidence, joined
-    from sysid.comparison.posterior import posterior, temper_of
+    from sysid.comparison.evidence import joined
+    from sysid.comparison.posterior import compared, posterior
 
-    temper = temper_of(found)
-    evidence, result = Evidence(found, temper=temper), posterior(found, nothing=nothing)
+    evidences, result = compared(found).evidences, posterior(found, nothing=nothing)
     models = []
     for m in result.credible():
-        together = joined(m.directions)
+        evidence, together = evidences[m.at], joined(m.directions)
         models.append(
             {
                 "effects": list(m.effects),
@@ -80,7 +80,7 @@ def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
                         "ci95": list(a.interval),
                         "unit": a.column.unit,
                     }
-                    for a in evidence.amplitudes(together)
+                    for a in (*evidence.fitted_amplitudes(together), *evidence.amplitudes(together))
                 ],
             }
         )
@@ -89,10 +89,10 @@ def _judged(found: Ledger, nothing: float) -> dict[str, Any]:
         "nothing_missing": result.nothing,
         "unknown": result.unknown,
         "inclusion": result.inclusion,
-        "readings": sum(b.readings for b in found.blocks),
+        "readings": found.readings,
         "blocks": len(found.blocks),
         "recordings": list(dict.fromkeys(b.recording for b in found.blocks)),
-        "temper": temper,
+        "temper": evidences[0].temper,
     }
 
 

@@ -96,10 +96,11 @@ class Evidence:
         sd, mean = np.array([c.prior_sd for c in columns]), np.array([c.prior_mean for c in columns])
         plain = np.flatnonzero(np.isin(kinds, PLAIN))
         own = np.concatenate([np.flatnonzero(kinds == "effect"), np.flatnonzero(kinds == "closure")])
+        self._plain = [columns[k] for k in plain]
         self.columns, self._own, self._whole, self.temper = [columns[k] for k in own], own, whole, temper
         self.sd = np.array([c.prior_sd for c in self.columns])
         self.one_sided = np.array([c.one_sided for c in self.columns], dtype=bool)
-        self._readings = sum(b.readings for b in ledger.blocks)
+        self._readings = ledger.readings
         self._form: np.ndarray = (
             self._form_error(whole, sd, mean, own, kinds, priors.form) if like is None else like._form
         )
@@ -224,6 +225,24 @@ class Evidence:
             ends = sorted(_physical(c, float(v)) for v in marginal.ppf([0.025, 0.975]))
             found.append(Amplitude(c, _physical(c, float(marginal.mean())), (ends[0], ends[1])))
         return found
+
+    def fitted_amplitudes(self, chosen: Directions) -> list[Amplitude]:
+        """Posterior of each parameter of the effects that the ledger is linearised with, beside directions."""
+        own, count = self._combinations[: len(self._own), chosen.index], len(self._base)
+        maps = np.zeros((len(self._whole), count + len(chosen.index) + 1))
+        maps[self._base, np.arange(count)] = 1.0
+        maps[self._own, count:-1] += own
+        maps[-1, -1] = 1.0
+        table = maps.T @ self._whole @ maps
+        precision = np.concatenate([self._precision, chosen.sd**-2.0])
+        pull = np.concatenate([self._precision * self._mean, np.zeros(len(chosen.index))]) - table[:-1, -1]
+        covariance = np.linalg.inv(table[:-1, :-1] + np.diag(precision))
+        mean, sd = covariance @ pull, np.sqrt(np.diag(covariance))
+        return [
+            Amplitude(c, _physical(c, m), (_physical(c, m - 1.96 * s), _physical(c, m + 1.96 * s)))
+            for c, m, s in zip(self._plain, mean, sd, strict=False)
+            if c.kind == "parameter" and c.hypothesis
+        ]
 
     def _solved(self, chosen: Directions) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of coefficients."""

@@ -36,13 +36,14 @@ size."""
 class Explanation:
     """``label``: the shape of an effect, or of the effect that unknown physics resembles; ``prior``: logarithm of its
     share among those of the same name, but for ``counts`` ``(f,)`` of what has a prior weight that is learnt;
-    ``factor``: log B by itself."""
+    ``factor``: log B by itself; ``like``: the effect that unknown physics resembles."""
 
     label: str
     directions: Directions
     prior: float
     counts: np.ndarray
     factor: float
+    like: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,17 @@ def causes_of(evidence: Evidence, weights: np.ndarray) -> list[Cause]:
             for k, size in enumerate(SHARES):
                 both = joined([best.directions, evidence.unknown_directions(places[effect], size * explained)])
                 factor = evidence.factor(both)
-                own.append(Explanation(best.label, both, 0.0, _counts(f"left {k}"), factor))
-                alike[places[effect]].append(Explanation(best.label, both, share, _counts(f"alike {k}"), factor))
+                own.append(Explanation(best.label, both, 0.0, counts_of(f"left {k}"), factor))
+                alike[places[effect]].append(
+                    Explanation(best.label, both, share, counts_of(f"alike {k}"), factor, effect)
+                )
         found.append(Cause(effect, places[effect], _sorted(own, weights)))
     for place in evidence.unknown:
         free = []
         for k, size in enumerate(TRACES):
             directions = evidence.unknown_directions(place, size)
-            free.append(Explanation("", directions, 0.0, _counts(f"free {k}"), evidence.factor(directions)))
-        own = [Explanation(e.label, e.directions, e.prior, e.counts + _counts("unknown"), e.factor)
+            free.append(Explanation("", directions, 0.0, counts_of(f"free {k}"), evidence.factor(directions)))
+        own = [Explanation(e.label, e.directions, e.prior, e.counts + counts_of("unknown"), e.factor, e.like)
                for e in (*free, *alike[place])]  # fmt: skip
         found.append(Cause(f"{UNKNOWN}{place}", place, _sorted(own, weights)))
     return found
@@ -98,13 +101,13 @@ def _of_shapes(evidence: Evidence, effect: str, labels: Sequence[str]) -> list[E
     for scale in AMPLITUDES:
         parts = [evidence.directions((effect, label), scale) for label in labels]
         for label, part in zip(labels, parts, strict=True):
-            found.append(Explanation(label, part, each, _counts(), evidence.factor(part)))
+            found.append(Explanation(label, part, each, counts_of(), evidence.factor(part)))
         if len(parts) > 1:
             whole = joined(parts)
             whole = replace(whole, one_sided=np.zeros(len(whole.index), dtype=bool))
             best = max(range(len(parts)), key=lambda k: found[k - len(parts)].factor)
             share = -float(np.log(len(AMPLITUDES)))
-            found.append(Explanation(labels[best], whole, share, _counts("family"), evidence.factor(whole)))
+            found.append(Explanation(labels[best], whole, share, counts_of("family"), evidence.factor(whole)))
     return found
 
 
@@ -112,7 +115,8 @@ def _sorted(found: Sequence[Explanation], weights: np.ndarray) -> tuple[Explanat
     return tuple(sorted(found, key=lambda e: -(e.prior + e.factor + float(e.counts @ weights))))
 
 
-def _counts(*names: str) -> np.ndarray:
+def counts_of(*names: str) -> np.ndarray:
+    """What prior weights count in an explanation ``(f,)``, by their names."""
     found = np.zeros(len(PLACE))
     for name in names:
         found[PLACE[name]] += 1.0

@@ -10,6 +10,9 @@ and in the coefficients c of closures, errors of a place of the model that have 
 noise that readings have in common taken out beforehand (:mod:`sysid.solve.variable_projection`). All that a comparison
 of models needs are the products of these columns with each other and with y, summed over blocks of time: it can be made
 again with other priors, without an effect, or without a part of a recording, and no simulation is run.
+
+Laws are not linear in their amplitudes. Sets of effects that a diagnosis has fitted have ledgers of their own, of the
+model linearised where it is fitted with them, in which their parameters are parameters like those of the rig.
 """
 
 from __future__ import annotations
@@ -25,12 +28,15 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 
-SCHEMA = "thinshell/ledger/4"
+SCHEMA = "thinshell/ledger/5"
 """What a file of this layout says that it is."""
 
 BLOCKS = 12
 """Convention: blocks of time of a recording."""
 
+
+AMPLITUDE, SHAPE = "amplitude", "shape"
+"""What a fitted parameter of an effect is, in place of the name of a shape."""
 
 OF_EFFECTS = ("effect", "concealed")
 """Kinds of columns of effects."""
@@ -85,11 +91,12 @@ class Block:
 @dataclass(frozen=True)
 class Ledger:
     """``columns``: parameters first, then effects, closures and approximations; ``blocks``: of all recordings;
-    ``provenance``: of what it was made."""
+    ``provenance``: of what it was made; ``amended``: of the same recordings, where sets of effects are fitted."""
 
     columns: tuple[Column, ...]
     blocks: tuple[Block, ...]
     provenance: Mapping[str, Any]
+    amended: tuple[Ledger, ...] = ()
 
     @property
     def gram(self) -> np.ndarray:
@@ -102,11 +109,21 @@ class Ledger:
         return tuple(dict.fromkeys(c.owner for c in self.columns if c.kind == "effect"))
 
     @property
+    def readings(self) -> int:
+        """Number of readings in all blocks."""
+        return sum(b.readings for b in self.blocks)
+
+    @property
+    def fitted(self) -> dict[str, str]:
+        """Effects that it is linearised with, and their places of the model."""
+        return {c.owner: c.place for c in self.columns if c.kind == "parameter" and c.hypothesis}
+
+    @property
     def merged(self) -> Ledger:
         """The ledger with one block of everything."""
         first, last = self.blocks[0], self.blocks[-1]
-        whole = Block("all", first.start, last.end, sum(b.readings for b in self.blocks), self.gram)
-        return replace(self, blocks=(whole,))
+        whole = Block("all", first.start, last.end, self.readings, self.gram)
+        return replace(self, blocks=(whole,), amended=tuple(one.merged for one in self.amended))
 
     def without(self, effects: Collection[str]) -> Ledger:
         """The ledger as of a library that does not have these effects. Raises ``LedgerError`` for an unknown one."""
@@ -115,6 +132,10 @@ class Ledger:
             raise LedgerError(
                 f"The ledger has no columns of {' and '.join(unknown)}.", f"It has those of {', '.join(self.effects)}."
             )
+        amended = tuple(one._less_effects(effects) for one in self.amended if not set(effects) & set(one.fitted))
+        return replace(self._less_effects(effects), amended=amended)
+
+    def _less_effects(self, effects: Collection[str]) -> Ledger:
         return self.less([k for k, c in enumerate(self.columns) if c.kind in OF_EFFECTS and c.owner in effects])
 
     def without_shape(self, effect: str, hypothesis: str) -> Ledger:
@@ -131,17 +152,24 @@ class Ledger:
 
     def write(self, path: Path) -> None:
         """Write ``ledger.npz``: the Gram matrices as arrays, all else as JSON."""
+        parts = (self, *self.amended)
         words = {
             "schema": SCHEMA,
-            "columns": [asdict(c) for c in self.columns],
-            "blocks": [
-                {"recording": b.recording, "start": b.start, "end": b.end, "readings": b.readings} for b in self.blocks
+            "ledgers": [
+                {
+                    "columns": [asdict(c) for c in one.columns],
+                    "blocks": [
+                        {"recording": b.recording, "start": b.start, "end": b.end, "readings": b.readings}
+                        for b in one.blocks
+                    ],
+                }
+                for one in parts
             ],
             "provenance": dict(self.provenance),
         }
-        grams = np.stack([b.gram for b in self.blocks])
+        grams = {f"grams_{k}": np.stack([b.gram for b in one.blocks]) for k, one in enumerate(parts)}
         with path.open("wb") as file:
-            np.savez_compressed(file, words=np.array(json.dumps(words, default=str)), grams=grams)
+            np.savez_compressed(file, words=np.array(json.dumps(words, default=str)), **grams)  # type: ignore[arg-type]
 
 
 def read_ledger(path: Path) -> Ledger:
@@ -149,18 +177,23 @@ def read_ledger(path: Path) -> Ledger:
     file = path / "ledger.npz" if path.is_dir() else path
     try:
         with np.load(file, allow_pickle=False) as kept:
-            words, grams = json.loads(str(kept["words"])), kept["grams"]
-        if words.get("schema") != SCHEMA:
-            raise LedgerError(f"{file} has the layout {words.get('schema')!r}, not {SCHEMA!r}.", "Diagnose again.")
-        columns = tuple(Column(**c) for c in words["columns"])
-        if grams.shape != (len(words["blocks"]), len(columns) + 1, len(columns) + 1) or not np.isfinite(grams).all():
-            raise LedgerError(f"{file} has products that do not belong to its columns.", "Diagnose again.")
-        blocks = tuple(Block(gram=g, **b) for b, g in zip(words["blocks"], grams, strict=True))
-        return Ledger(columns, blocks, words["provenance"])
+            words = json.loads(str(kept["words"]))
+            if words.get("schema") != SCHEMA:
+                raise LedgerError(f"{file} has the layout {words.get('schema')!r}, not {SCHEMA!r}.", "Diagnose again.")
+            parts = [_read(one, kept[f"grams_{k}"], file) for k, one in enumerate(words["ledgers"])]
+        return replace(parts[0], provenance=words["provenance"], amended=tuple(parts[1:]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise LedgerError(
             f"{file} cannot be read as a ledger ({error}).", "Name a ledger.npz, or the folder of a diagnosis."
         ) from error
+
+
+def _read(words: Mapping[str, Any], grams: np.ndarray, file: Path) -> Ledger:
+    columns = tuple(Column(**c) for c in words["columns"])
+    if grams.shape != (len(words["blocks"]), len(columns) + 1, len(columns) + 1) or not np.isfinite(grams).all():
+        raise LedgerError(f"{file} has products that do not belong to its columns.", "Diagnose again.")
+    blocks = tuple(Block(gram=g, **b) for b, g in zip(words["blocks"], grams, strict=True))
+    return Ledger(columns, blocks, {})
 
 
 def blocks_of(

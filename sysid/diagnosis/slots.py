@@ -1,29 +1,20 @@
-"""Which equation or sensor is unreliable, without any law: evidence for each place where physics may hide.
+"""Places of the model where physics may hide, and what of the model or of a sensor a closure changes there.
 
-Every slot of the model gets a closure that says nothing of its law, only of its place: the stiffness of a body, the
-friction of a contact, the mass of a sheet, where a hand really is, what a wrench sensor or a camera adds, how late a
-clock is, each free to change in time as a sum of hat functions in every recording by itself. How much better the
-recordings are then explained, less what so much freedom costs (the evidence of Laplace, as in
-:mod:`sysid.diagnosis.screening`), ranks the slots. A closure is valid only inside the recordings that it is found from:
-it says where to look, and predicts nothing.
+The stiffness of a body, the friction of a contact, the mass of a sheet, where a hand really is, what a wrench sensor or
+a camera adds, how late a clock is: :mod:`sysid.diagnosis.closures` lets each change with what the recordings show.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sim_core.effects import Effect
 from sim_core.rigs import Gel, Rig, Sheet
-from sysid.model.parameters import FitParameter, fit_parameters
-from sysid.model.prediction_source import Responding
-from sysid.model.predictor import Prediction
-from sysid.model.responses import Modulated
-from sysid.observations.observations import Measured, Run
+from sysid.model.parameters import FitParameter
+from sysid.observations.observations import Measured
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import DIMENSIONS
 from sysid.solve.residuals import Problem
 
@@ -41,16 +32,6 @@ class Slot:
 def place_of(effect: Effect) -> str:
     """The place of the model that an effect amends, in the words of slots."""
     return {"air": "environment"}.get(effect.slot, effect.slot.removesuffix(" sensor"))
-
-
-@dataclass(frozen=True)
-class SlotEvidence:
-    """``gain`` [nats]: evidence of the closure over the baseline; ``explained``: share of chi-square beyond noise that
-    it takes away."""
-
-    slot: Slot
-    gain: float
-    explained: float
 
 
 def mechanical_slots(rig: Rig) -> list[tuple[Slot, list[str]]]:
@@ -75,67 +56,6 @@ def mechanical_slots(rig: Rig) -> list[tuple[Slot, list[str]]]:
     return found
 
 
-def slot_evidence(engine: Responding, problem: Problem, base: Fitted, kappa: float) -> list[SlotEvidence]:
-    """Evidence of each slot beside a fitted baseline, best first. ``kappa``: misfit over noise that the best model
-    leaves, by which data count less."""
-    slots = mechanical_slots(base.rig)
-    names = [name for _, parameters in slots for name in parameters]
-    parameters = {p.name: p for p in fit_parameters(base.rig, names)}
-    modulated = {
-        run.name: [
-            Modulated(n, np.array([c - w, c, c + w]), np.array([0.0, 1.0, 0.0]))
-            for n in parameters
-            for c, w in hats(run)
-        ]
-        for run in problem.runs
-    }
-    jobs = [
-        engine.submit_responses(base.rig, run, base.parameters, base.scaled, [], modulated[run.name])
-        for run in problem.runs
-    ]
-    predictions = [job.result() for job in jobs]
-    sensors = sensor_slots(problem)
-    columns, owners = _columns(problem, base, predictions, list(parameters), sensors)
-    assembled = problem.assemble(columns, [str(k) for k in range(len(owners) + len(base.parameters))], base.scaled)
-    rows: list[list[np.ndarray]] = [[] for _ in problem.runs]
-    at = 0
-    for i, _, times in assembled.labels:
-        rows[i].append(np.arange(at, at + len(times)))
-        at += len(times)
-    shared = len(base.parameters)
-    width = np.array([p.known_sd or p.prior_sd for p in base.parameters])
-    inner = assembled.jacobian[:, :shared].T @ assembled.jacobian[:, :shared] / kappa + np.diag(1.0 / width**2)
-    pull = base.residual[len(base.residual) - base.pulls :] / width if base.pulls else np.zeros(shared)
-    slope = assembled.jacobian[:, :shared].T @ assembled.residual / kappa + pull
-    left = np.linalg.solve(inner, slope) if shared else np.zeros(0)
-    beyond = max(float(assembled.residual @ assembled.residual) - base.samples, 1.0)
-    found = []
-    for slot, wanted in [*slots, *((s, [s.name]) for s in sensors)]:
-        mine = np.array([k for k, (kind, name) in enumerate(owners) if (kind, name) in _keys(slot, wanted)], dtype=int)
-        if not len(mine):
-            continue
-        sd = np.array([coefficient_sd(slot, owners[k][1], parameters) for k in mine])
-        gain, fall = 0.0, 0.0
-        for part in rows:
-            here = np.concatenate(part) if part else np.zeros(0, dtype=int)
-            j, r = assembled.jacobian[here], assembled.residual[here]
-            d = j[:, shared + mine] * sd
-            cross = d.T @ j[:, :shared] / kappa
-            g = d.T @ r / kappa - cross @ left
-            information = d.T @ d / kappa - cross @ (np.linalg.solve(inner, cross.T) if shared else cross.T)
-            whole = information + np.eye(len(mine))
-            gain += 0.5 * float(g @ np.linalg.solve(whole, g)) - 0.5 * float(np.linalg.slogdet(whole)[1])
-            fall += kappa * float(g @ np.linalg.solve(whole, g))
-        found.append(SlotEvidence(slot, gain, min(1.0, max(0.0, fall / beyond))))
-    return sorted(found, key=lambda s: -s.gain)
-
-
-def hats(run: Run) -> list[tuple[float, float]]:
-    """Centres and widths [s] of the hat functions of a recording."""
-    width = run.end / (DIAGNOSIS.closure_hats - 1)
-    return [(k * width, width) for k in range(DIAGNOSIS.closure_hats)]
-
-
 def sensor_slots(problem: Problem) -> list[Slot]:
     """Slots of the sensors, cameras and clocks."""
     kinds = {m.channel: m.kind for run in problem.runs for m in run.measured}
@@ -147,11 +67,6 @@ def sensor_slots(problem: Problem) -> list[Slot]:
     return found
 
 
-def _keys(slot: Slot, wanted: Sequence[str]) -> set[tuple[str, str]]:
-    kind = slot.place if slot.place in ("wrench", "camera", "clock") else "parameter"
-    return {(kind, name) for name in wanted}
-
-
 def coefficient_sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -> float:
     """Standard deviation of the coefficient of a column."""
     if slot.place in ("wrench", "camera"):
@@ -161,40 +76,10 @@ def coefficient_sd(slot: Slot, name: str, parameters: dict[str, FitParameter]) -
     return next((sd for end, sd in DIAGNOSIS.closure_sd.items() if name.endswith(end)), parameters[name].prior_sd)
 
 
-def _columns(
-    problem: Problem, base: Fitted, predictions: Sequence[Prediction], names: Sequence[str], sensors: Sequence[Slot]
-) -> tuple[list[Prediction], list[tuple[str, str]]]:
-    """Predictions with the derivatives by the baseline's parameters and by all coefficients, and to what each of the
-    latter belongs."""
-    shared = len(base.parameters)
-    owners = [("parameter", n) for n in names for _ in range(DIAGNOSIS.closure_hats)]
-    widths = {slot: shape_count(slot, problem) for slot in sensors}
-    for slot in sensors:
-        owners += [(slot.place, slot.name)] * (DIAGNOSIS.closure_hats * widths[slot])
-    out = []
-    for run, prediction in zip(problem.runs, predictions, strict=True):
-        derivatives = {}
-        for m in run.measured:
-            parts = [prediction.derivatives[m.channel]]
-            for slot in sensors:
-                shape = (*m.values.shape, DIAGNOSIS.closure_hats * widths[slot])
-                values, size = prediction.values[m.channel], reading_size(m)
-                mine = slot.name == m.channel
-                parts.append(sensed(slot, m, values, size, _hats_at(run, m.t)) if mine else np.zeros(shape))
-            derivatives[m.channel] = np.concatenate(parts, axis=-1)
-        out.append(Prediction(prediction.values, derivatives, prediction.trace))
-    assert all(d.shape[-1] == shared + len(owners) for p in out for d in p.derivatives.values())
-    return out, owners
-
-
 def shape_count(slot: Slot, problem: Problem) -> int:
     """How many shapes the closure of a sensor has."""
     kind = next(m.kind for run in problem.runs for m in run.measured if m.channel == slot.name)
     return 1 if slot.place == "clock" else 6 if kind == "wrench" else 2 * DIMENSIONS[kind]
-
-
-def _hats_at(run: Run, t: np.ndarray) -> np.ndarray:
-    return np.stack([np.maximum(0.0, 1.0 - np.abs(t - c) / w) for c, w in hats(run)], axis=-1)
 
 
 def reading_size(measured: Measured) -> np.ndarray:

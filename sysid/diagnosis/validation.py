@@ -6,9 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.diagnosis.evidence import held_out_gain, log_likelihood_ratio
-from sysid.diagnosis.residual_analysis import whitened
-from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -38,35 +35,15 @@ def seen_by_both(check: Problem, plain: Fitted | None, amended: Fitted | None) -
 
 
 def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
-    """Share of the robust misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing
-    is to be seen."""
-    return None if both is None else held_out_gain(both[0].residual, both[1].residual)
+    """Share of the misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing is to
+    be seen."""
+    return None if both is None else 1.0 - of_readings(both[1]) / of_readings(both[0])
 
 
-def ratios_of(check: Problem, both: tuple[Fitted, Fitted] | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Log likelihood ratios [nats] of two models by blocks of time of all held-out runs ``(b,)``, as their residuals
-    are judged, beside what careful models differ in (:func:`sysid.diagnosis.residual_analysis.whitened`), and the
-    squares of what they differ by there ``(b,)``. None where nothing is to be seen."""
-    if both is None:
-        return None
-    white: list[tuple[np.ndarray, np.ndarray]] = []
-    blocks: list[np.ndarray] = []
-    for i, run in enumerate(check.runs):
-        for m in run.measured:
-            plain, amended = (whitened(check, model, i, m) for model in both)
-            seen = np.isfinite(plain) & np.isfinite(amended)
-            block = np.clip(
-                (DIAGNOSIS.time_blocks * m.t / max(run.end, 1e-12)).astype(int), 0, DIAGNOSIS.time_blocks - 1
-            )
-            blocks.append(np.broadcast_to((i * DIAGNOSIS.time_blocks + block)[:, None], seen.shape)[seen])
-            white.append((plain[seen], amended[seen]))
-    plain, amended = (np.concatenate([pair[k] for pair in white]) for k in (0, 1))
-    at = np.concatenate(blocks)
-    there = np.bincount(at) > 0
-    return (
-        np.bincount(at, log_likelihood_ratio(plain, amended))[there],
-        np.bincount(at, (plain - amended) ** 2)[there],
-    )
+def beyond_noise(plain: Fitted, amended: Fitted) -> float:
+    """Share of the misfit beyond noise that an amendment removes, 0 to 1."""
+    before, after = of_readings(plain), of_readings(amended)
+    return float(np.clip((before - after) / max(before - 1.0, before - after, 1e-12), 0.0, 1.0))
 
 
 def of_readings(fitted: Fitted) -> float:

@@ -1,198 +1,123 @@
-"""From screened and refitted sets of effects to a verdict.
+"""What the posterior says: the verdict, in sets of causes with probabilities.
 
-An answer has to be significant against the null that is simulated for the case, to predict recordings it was not fitted
-to, and to have size: it explains most of what the baseline leaves beyond noise, the discretisation error and what
-careful models differ in. What is real but small beside what is left is said to be just that.
+The most probable set of causes is the answer (:mod:`sysid.comparison.posterior`); where it is less than sure, all sets
+as large that belong to the 95 % are. No other limit has a part in it. What the error of mesh and time step may be is
+asked again with twice its width: where that makes nothing missing the more probable, finer cells are the answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from sysid.diagnosis.contradictions import Contradiction
-from sysid.diagnosis.refits import Trial
-from sysid.diagnosis.residual_analysis import Structure
-from sysid.fit.result import ChannelError
+from sim_core.effects import effect_by_name
+from sysid.comparison.explanations import UNKNOWN
+from sysid.comparison.ledger import Ledger
+from sysid.comparison.posterior import Posterior, posterior
+from sysid.discretisation.refinement import MESH, TIME_STEP
 from sysid.settings.diagnosis import DIAGNOSIS
+
+WHERE = {
+    "gel": "in the gel",
+    "sheet": "in the sheet",
+    "contact": "at a contact",
+    "robot": "in the motion of the hand",
+    "environment": "in what acts on the bodies from outside",
+    "wrench": "in a wrench sensor",
+    "camera": "in a camera",
+    "markers": "in the markers",
+    "clock": "in a clock",
+}
+"""Places of the model in words."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """What the verdict rests on beside the trials. ``before``, ``there``: structured misfit of the baseline, and on
-    recordings held out (None without); ``threshold`` [nats]: of the simulated null; ``coarse``: quantities whose
-    discretisation error is too large for the question, in words; ``faults``: of the recordings, in words;
-    ``contradictions``: of the baseline and what the rig says; ``missed``: quantities that it misses by far where mesh
-    and time step err by far, in words (:func:`missed_beside_mesh`)."""
+class ProbableSet:
+    """Causes that are missing together. ``causes``: names of effects, and 'unknown: ' with a place; ``words``."""
 
-    before: Structure
-    there: Structure | None
-    threshold: float
-    coarse: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-    contradictions: tuple[Contradiction, ...] = ()
-    missed: tuple[str, ...] = ()
+    causes: tuple[str, ...]
+    words: str
+    probability: float
 
     @property
-    def needed(self) -> float:
-        """Evidence [nats] that a set of effects must have."""
-        return max(DIAGNOSIS.least_gain_nats, self.threshold)
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the library among them."""
+        return tuple(c for c in self.causes if not c.startswith(UNKNOWN))
 
     @property
-    def missing(self) -> bool:
-        """The baseline leaves misfit that nothing known explains."""
-        return self.before.missing or (self.there is not None and self.there.missing)
+    def unknown(self) -> tuple[str, ...]:
+        """Places with unknown physics among them."""
+        return tuple(c.removeprefix(UNKNOWN) for c in self.causes if c.startswith(UNKNOWN))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """``kind``: as in :data:`sysid.diagnosis.result.VERDICTS`; ``named``: trials of the answer, best first."""
+    """``kind``: as in :data:`sysid.diagnosis.result.VERDICTS`; ``sets``: of the answer, most probable first;
+    ``nothing``, ``unknown``: probabilities that nothing is missing, and that something is that no effect of the library
+    describes; ``effects``, ``places``: probability by effect, and of each place of the model that something is missing
+    there, largest first."""
 
     kind: str
-    named: tuple[Trial, ...]
+    sets: tuple[ProbableSet, ...]
+    nothing: float
+    unknown: float
+    effects: dict[str, float]
+    places: dict[str, float]
+
+    @property
+    def answer(self) -> tuple[str, ...]:
+        """Effects that are said to be missing, or to be one of those that are."""
+        chosen = self.sets if self.kind == "one_of" else self.sets[:1]
+        return tuple(dict.fromkeys(e for s in chosen for e in s.effects))
 
 
-def missed_beside_mesh(errors: Sequence[ChannelError]) -> tuple[str, ...]:
-    """A sentence for each quantity that the baseline misses by ``DIAGNOSIS.missed_over_noise`` where mesh and time step
-    err by ``DIAGNOSIS.mesh_over_noise`` of the noise, and by less than is missed, but not so much less that they cannot
-    be the reason: that of the recording in which it misses most."""
-    worst: dict[tuple[str, str], ChannelError] = {}
-    for e in errors:
-        known = worst.get((e.channel, e.quantity))
-        if e.before > DIAGNOSIS.missed_over_noise * e.noise and (
-            known is None or e.before / e.noise > known.before / known.noise
-        ):
-            worst[e.channel, e.quantity] = e
-    return tuple(
-        f"The rig misses the {e.quantity or 'picture'} of {e.channel} in {e.run} by {e.before / e.noise:.0f} times its "
-        f"noise, more than the {e.own / e.noise:.0f} times by which mesh and time step are expected to err there, but "
-        "not so much more that anything else is surely missing."
-        for e in worst.values()
-        if e.own > DIAGNOSIS.mesh_over_noise * e.noise
-        and DIAGNOSIS.mesh_explains_ratio * e.own < e.before < DIAGNOSIS.mesh_may_explain_ratio * e.own
+def verdict_of(found: Posterior) -> Verdict:
+    """What a posterior says."""
+    best, sure = found.models[0], DIAGNOSIS.sure_probability
+    sets = tuple(
+        ProbableSet(m.effects, words_of(m.effects), m.probability) for m in found.credible()[: DIAGNOSIS.sets_shown]
     )
+    first = sets[0]
+    kind = "nothing_missing" if not first.causes else "named" if not first.unknown else "unknown"
+    if kind == "unknown" and first.effects:
+        kind = "partly"
+    if kind == "named" and best.probability < sure:
+        sets = tuple(s for s in sets if len(s.causes) == len(first.causes) and not s.unknown)
+        kind = "one_of" if len(sets) > 1 else kind
+    else:
+        sets = sets[:1]
+    known = {e: p for e, p in found.inclusion.items() if not e.startswith(UNKNOWN)}
+    return Verdict(kind, sets, found.nothing, found.unknown, known, found.in_place)
 
 
-def rejected(trial: Trial, case: Case) -> str:
-    """Why a set of effects is no answer; empty when it may be one."""
-    if trial.failure:
-        return trial.failure
-    if trial.gain < case.needed:
-        return f"it improves the fit too little ({trial.gain:.1f} of {case.needed:.1f} nats)"
-    if trial.held_out is not None and trial.held_out <= 0.0:
-        return f"it predicts held-out recordings worse, by {-100 * trial.held_out:.2g} %"
-    if trial.worse:
-        return f"it predicts worse: {trial.worse}"
-    if trial.change < DIAGNOSIS.least_size:
-        return (
-            f"it changes no reading by more than {trial.change:.2g} of what noise, mesh, time step and careful models "
-            "leave open"
-        )
-    if trial.in_pose_noise:
-        return f"{trial.in_pose_noise}, but within the noise of the recorded poses"
-    if trial.idle:
-        return f"beside its other effects it is not told from none {trial.idle}"
-    if trial.significance < DIAGNOSIS.significance_sd:
-        return (
-            f"over time its improvement is worth {trial.significance:.1f} of {DIAGNOSIS.significance_sd:g} deviations"
-        )
-    if not case.missing:
-        if trial.gain < DIAGNOSIS.threshold_factor_without_misfit * case.needed:
-            return "without it the recordings are explained as well, as far as noise and careful models go"
-        if case.there is None:
-            return "no misfit stands out, and no recording is held out that could speak for it"
-        if trial.predicts is not None and trial.predicts < case.needed:
-            return (
-                f"held-out recordings speak for it by only {trial.predicts:.1f} of {case.needed:.1f} nats, where the "
-                "baseline shows no misfit that stands out"
-            )
-        if trial.confirmed and trial.surely_predicts is not None and trial.surely_predicts < DIAGNOSIS.steady_sd:
-            return (
-                f"held-out recordings speak for it by {trial.predicts or 0.0:.0f} nats, but by only "
-                f"{trial.surely_predicts:.1f} of {DIAGNOSIS.steady_sd:g} deviations from one block of time to the next"
-            )
-    return ""
+def hidden_by_mesh(ledger: Ledger) -> bool:
+    """Whether nothing is missing more probably than not where the error of mesh and time step may be off by twice as
+    much as is thought."""
+    return posterior(_wider(ledger), bags=0).nothing > 0.5
 
 
-def decide(trials: Sequence[Trial], case: Case) -> Verdict:
-    """Choose the verdict."""
-    fit = answers(trials, case)
-    if not fit:
-        if case.faults:
-            return Verdict("recording_fault", ())
-        if case.missing:
-            return Verdict("unknown", ())
-        hidden = case.before.hidden or (case.there is not None and case.there.hidden)
-        refine = hidden or case.coarse or case.missed
-        return Verdict("refine_discretisation" if refine else "nothing_missing", ())
-    best = fit[0]
-    share = size_of(best)
-    if best.left.missing and share < DIAGNOSIS.least_explained_share:
-        return Verdict("partly" if share >= DIAGNOSIS.some_explained_share else "unknown", (best,))
-    ties = tuple(
-        t
-        for t in fit
-        if best.gain - t.gain < DIAGNOSIS.tie_nats
-        and size_of(t) > share - DIAGNOSIS.tie_size_share
-        and len(t.names) == len(best.names)
+def _wider(ledger: Ledger) -> Ledger:
+    columns = tuple(
+        replace(c, prior_sd=2.0 * c.prior_sd) if c.kind == "approximation" and c.owner in (MESH, TIME_STEP) else c
+        for c in ledger.columns
     )
-    return Verdict("named" if len(ties) == 1 else "one_of", ties)
+    return replace(ledger, columns=columns, amended=tuple(_wider(one) for one in ledger.amended))
 
 
-def answers(trials: Sequence[Trial], case: Case) -> list[Trial]:
-    """The sets of effects that may be an answer, best first. One of several effects has to be better than each part of
-    it that may be one, by evidence and in size."""
-    fit = sorted((t for t in trials if not rejected(t, case)), key=lambda t: -t.gain)
-    return [t for t in fit if not needless(t, fit, case)]
+def words_of(causes: Sequence[str]) -> str:
+    """Causes in words, as clauses."""
+    parts = []
+    for cause in causes:
+        if cause.startswith(UNKNOWN):
+            place = cause.removeprefix(UNKNOWN)
+            parts.append(f"something that no known effect describes is missing {WHERE.get(place, place)}")
+        else:
+            parts.append(effect_by_name(cause).title)
+    return " and ".join(parts) or "nothing is missing"
 
 
-def needless(trial: Trial, others: Sequence[Trial], case: Case) -> str:
-    """Why some of a set of effects, of which others that may be an answer have a part, are one too many; empty when
-    they are not."""
-    for part in (t for t in others if t.names < trial.names):
-        more = " and that ".join(h.effect.title for h in trial.hypotheses if h.effect.name not in part.names)
-        if trial.gain < part.gain + case.needed:
-            return f"beside the knowledge that {part.title}, that {more} improves the fit too little"
-        gone = _taken_away(part, trial)
-        if gone < DIAGNOSIS.worth_adding_share:
-            return (
-                f"that {more} takes away {max(0.0, 100 * gone):.0f} % of the misfit that is left with the knowledge "
-                f"that {part.title}"
-            )
-    return ""
-
-
-def _taken_away(part: Trial, whole: Trial) -> float:
-    """Share of the structured misfit that a set of effects leaves which a larger set takes away, on the recordings
-    given or those held out, whichever is more; 0 where it leaves none."""
-    pairs = [(part.left, whole.left), (part.left_there, whole.left_there)]
-    return max(
-        (1.0 - b.whole.excess / a.whole.excess for a, b in pairs if a is not None and b is not None and a.missing),
-        default=0.0,
-    )
-
-
-def cut_off(trials: Sequence[Trial], verdict: Verdict, case: Case) -> list[Trial]:
-    """Where the verdict is that something unknown is missing, the set of effects with most evidence, if there is enough
-    of it and its refit was cut off before it converged."""
-    if verdict.kind != "unknown" or verdict.named:
-        return []
-    best = max((t for t in trials if not t.failure), key=lambda t: t.gain, default=None)
-    if best is None or best.confirmed or best.fitted.converged or best.gain < case.needed:
-        return []
-    return [best]
-
-
-def size_of(trial: Trial) -> float:
-    """Share of the structured misfit that is gone, the smaller of that on the recordings given and held out."""
-    return min(trial.explained, 1.0 if trial.explained_there is None else trial.explained_there)
-
-
-def probabilities(trials: Sequence[Trial], case: Case) -> dict[frozenset[str], float]:
-    """Probability of each set among all that were refitted and the baseline, from the evidence."""
-    gains = np.array([min(t.gain, 0.0) if rejected(t, case) else t.gain for t in trials] + [0.0])
-    weights = np.exp(gains - gains.max())
-    weights /= weights.sum()
-    return {t.names: float(w) for t, w in zip(trials, weights[:-1], strict=True)}
+def in_percent(probability: float) -> str:
+    """A probability in words."""
+    if probability < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"

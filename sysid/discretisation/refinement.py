@@ -40,7 +40,7 @@ from sysid.solve.interruption import ENDS_EARLY, end_unconverged
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
-MESH = "mesh"
+MESH, TIME_STEP = "mesh", "time step"
 """Label of the error shape of the mesh."""
 
 Minimise = Callable[[Problem, np.ndarray], Fitted]
@@ -124,7 +124,7 @@ def _error_shapes(
     found = []
     for label, how, orders, pending in (
         (MESH, "on a finer mesh", [DISCRETISATION.mesh_order] * len(rigs), fine),
-        ("time step", "with half the time step", [rig.solver.order for rig in rigs], short),
+        (TIME_STEP, "with half the time step", [rig.solver.order for rig in rigs], short),
     ):
         if pending is None:
             continue

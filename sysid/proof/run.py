@@ -23,7 +23,7 @@ import yaml
 
 import sysid
 from sim_core.errors import ConfigError
-from sysid.proof.answer import read_answers
+from sysid.proof.answer import read_answer
 from sysid.proof.seal import SEAL_FILE, file_digest
 
 Progress = Callable[[float, str], None]
@@ -128,7 +128,5 @@ def _entry(answer: Path) -> dict[str, Any]:
     path = answer / DIAGNOSIS_FILE
     if path.is_file():
         entry["sha256"] = file_digest(path)
-        by_verdict, by_posterior = read_answers(path)
-        entry["answer"] = asdict(by_verdict)
-        entry["by_posterior"] = None if by_posterior is None else asdict(by_posterior)
+        entry["answer"] = asdict(read_answer(path))
     return entry

@@ -57,21 +57,14 @@ def score_cases(folder: Path) -> str:
     truth = open_seal(folder)
     answers = _open_answers(folder)
     scores = [_score(case, answers["cases"]) for case in truth["cases"]]
-    by_posterior = [_score(case, answers["cases"], "by_posterior") for case in truth["cases"]]
     apart = [s for s in scores if s.truth != "simulator"]
     summary = {"all": summarise(scores), "independent": summarise(apart)}
-    both = all(s.outcome != "error" for s in by_posterior)
-    if both:
-        summary["by_posterior"] = summarise(by_posterior)
     data = {"seed": truth["seed"], "summary": summary, "cases": [asdict(s) for s in scores]}
-    data["by_posterior"] = [asdict(s) for s in by_posterior] if both else []
     path = folder / SCORE_FILE
     path.write_text(json.dumps(data, indent=2) + "\n")
     text = f"{table(scores)}\n\n{sentences(summary['all'])}"
     if apart and len(apart) < len(scores):
         text += f"\n\nTruth by another formulation ({len(apart)} cases):\n{sentences(summary['independent'])}"
-    if both:
-        text += f"\n\nBy the posterior of the ledgers:\n{table(by_posterior)}\n\n{sentences(summary['by_posterior'])}"
     return f"{text}\nWritten: {path}"
 
 
@@ -93,16 +86,16 @@ def _open_answers(folder: Path) -> dict[str, Any]:
     return answers
 
 
-def _score(truth: dict[str, Any], entries: dict[str, Any], which: str = "answer") -> CaseScore:
-    """Of one case, by the verdict of its diagnosis (``answer``) or ``by_posterior``."""
+def _score(truth: dict[str, Any], entries: dict[str, Any]) -> CaseScore:
+    """Of one case."""
     name, effects = truth["case"], truth["effects"]
     entry = entries.get(name, {"error": "not run", "seconds": math.nan})
     signal = min((e["signal"] for e in effects), default=0.0)
     known = (name, truth["rig"], truth["truth"], kind_of(effects), tuple(e["name"] for e in effects), signal)
-    if not entry.get(which):
+    if not entry.get("answer"):
         nothing = (0, 0)
         return CaseScore(*known, "", (), "error", False, False, None, None, nothing, nothing, entry["seconds"])
-    answer = Answer(**entry[which])
+    answer = Answer(**entry["answer"])
     return CaseScore(
         *known,
         answer.verdict,

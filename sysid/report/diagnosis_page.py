@@ -101,7 +101,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, path: Path) -> Path:
         ],
         rivals=rivals(d),
         places=[
-            _bar(p.words, p.place, p.explained, f"/places/{k}/explained", k == 0)
+            _bar(p.words, p.place, p.probability, f"/places/{k}/probability", k == 0)
             for k, p in enumerate(d.places[:MOST_PLACES])
         ],
         windows=spans(windows, "/located/windows"),
@@ -268,8 +268,6 @@ def lead(d: Diagnosis) -> list[str]:
             "No recording was held out, so the finding rests on the recordings it was made from. "
             "Give some with --held-out to test it."
         )
-    if d.one_model:
-        out.append(d.one_model.sentence)
     return out
 
 

@@ -10,7 +10,7 @@ from sim_core.settings import setting
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """Settings of a diagnosis: baseline, screening, refits, verdict, place and time of a mismatch, next experiment."""
+    """Settings of a diagnosis: baseline, effects, fits of sets, place and time of a mismatch, next experiment."""
 
     # baseline
     baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
@@ -79,13 +79,6 @@ class DiagnosisSettings:
         "Standard deviations of what was known of a parameter from which its fitted value needs explaining.",
         "statistics",
     )
-    certainly_far_sd: float = setting(
-        4.0,
-        "sd",
-        "Standard deviations of what was known of a parameter from which the verdict itself says that it is "
-        "contradicted: of twenty parameters chance takes one there in a diagnosis of 800.",
-        "statistics",
-    )
 
     # tolerance of the model
     model_tolerance: float = setting(
@@ -148,7 +141,7 @@ class DiagnosisSettings:
         2.0, "1", "Ratio of misfits from which two predictions count as those of different branches.", "judgement"
     )
 
-    # screening
+    # which effects are looked at
     grid_points: int = setting(
         4,
         "1",
@@ -170,155 +163,25 @@ class DiagnosisSettings:
         "Largest size, in units of the typical one, to which a response is extrapolated.",
         "judgement",
     )
-    null_draws: int = setting(300, "1", "Recordings of the null that are drawn.", "cost")
-    false_alarm_probability: float = setting(
-        0.01, "1", "Probability with which the null exceeds the threshold.", "convention"
-    )
-    twin_errors: tuple[float, ...] = setting(
-        (0.0, 0.5, -0.5),
-        "1",
-        "Discretisation error of the twins beyond the expected one, in units of the extrapolated error.",
-        "judgement",
-    )
-    paired_effects: int = setting(6, "1", "Effects whose pairs are looked at in the screening.", "cost")
 
-    # refits
-    simulated_effects: int = setting(
-        8, "1", "Effects that are simulated where the screening says, before the best of them are refitted.", "cost"
-    )
-    simulated_second_starts: int = setting(
-        3,
-        "1",
-        "Further starts of these effects that are simulated as well: along a path that never yielded, a law "
-        "with a threshold may look best where its own path is worst.",
-        "cost",
-    )
-    refitted_by_recording: int = setting(
-        2, "1", "Further effects that are refitted since they explain single recordings best.", "cost"
-    )
-    worth_trying_share: float = setting(
-        0.5,
-        "1",
-        "Share of the evidence that is needed where the baseline shows no misfit, from which an effect is "
-        "refitted there.",
-        "judgement",
-    )
-    most_effects: int = setting(3, "1", "Effects of one answer.", "cost")
-    refitted_from_the_rig: int = setting(
-        2, "1", "Effects that are refitted from the rig's own numbers where the baseline contradicts these.", "cost"
-    )
-    tried_beside: int = setting(3, "1", "Effects that are tried beside an answer that leaves something.", "cost")
-    could_take_share: float = setting(
-        0.5,
-        "1",
-        "Share of ``worth_adding_share`` which the screening must say of an effect that it takes away of what an "
-        "answer leaves, for it to be tried beside the answer: half, since responses are linear.",
-        "judgement",
-    )
-    sensor_misfit_share: float = setting(
-        0.1,
-        "1",
-        "Share of the misfit that is in a sensor's readings, up to which it is no place where to look.",
-        "judgement",
-    )
     hold_out_from: int = setting(
         3, "1", "Number of recordings from which the last is held out where none is.", "judgement"
     )
-    refitted_sets: int = setting(
-        3, "1", "Sets that are refitted: those that simulations at their starts explain best.", "cost"
-    )
-    refitted_second_starts: int = setting(1, "1", "Further starts of the best of these sets that are refitted.", "cost")
-    refit_evaluations: int = setting(5, "1", "Evaluations allowed to a refit.", "cost")
-    refit_tolerance: float = setting(
-        5.0, "1", "Improvement of chi-square, in units of the misfit, below which a refit ends.", "judgement"
-    )
-    worse_held_out_share: float = setting(
-        0.1,
-        "1",
-        "Rise of a held-out error, over that of the baseline, from which a model predicts a quantity worse.",
-        "judgement",
-    )
-    told_apart_sd: float = setting(
-        2.0, "sd", "Standard deviations from which an effect beside others is told from none.", "judgement"
-    )
-    confirmation_evaluations: int = setting(
-        12, "1", "Evaluations allowed to an answer, whose refit ended when it was told from others.", "cost"
-    )
-    robust_width_sd: float = setting(
-        3.0,
-        "sd",
-        "Whitened residual from which held-out samples count linearly, so that a few do not decide.",
-        "convention",
-    )
+    refit_evaluations: int = setting(12, "1", "Evaluations allowed to the fit of a set of effects.", "cost")
 
-    # verdict
-    least_gain_nats: float = setting(
-        8.0,
-        "nats",
-        "Evidence over the baseline below which nothing is named, whatever the null of the case says.",
-        "judgement",
+    # sets that are fitted
+    simulated_effects: int = setting(
+        12, "1", "Single effects that are simulated where their fits would begin, before the best of them are.", "cost"
     )
-    threshold_factor_without_misfit: float = setting(
-        3.0,
-        "1",
-        "How many times the threshold an effect must reach where the baseline shows no misfit that stands out.",
-        "judgement",
+    fitted_sets: int = setting(6, "1", "Sets of effects that are fitted at most.", "cost")
+    fitted_together: int = setting(2, "1", "Sets that are fitted side by side.", "cost")
+    fitted_share: float = setting(
+        0.05, "1", "Share of the probability of all sets of effects from which a set is fitted.", "convention"
     )
-    tie_nats: float = setting(
-        5.0, "nats", "Sets of effects within this of the best are reported together.", "judgement"
+    misfit_deviations: float = setting(
+        5.0, "sd", "Standard deviations of chance beyond which a mean square of residuals is no noise.", "convention"
     )
-    tie_size_share: float = setting(
-        0.1, "1", "Share of the structured misfit by which such a set may explain less than the best.", "judgement"
-    )
-    least_explained_share: float = setting(
-        0.6,
-        "1",
-        "Share of the structured misfit that an answer explains at least, unless it leaves none that stands out.",
-        "judgement",
-    )
-    some_explained_share: float = setting(
-        0.15, "1", "Share from which an effect is worth telling beside something that remains unknown.", "judgement"
-    )
-    worth_adding_share: float = setting(
-        0.5,
-        "1",
-        "Share of the structured misfit that a set of effects leaves which a further effect has to take away, "
-        "on the recordings given or on those held out.",
-        "judgement",
-    )
-    steady_sd: float = setting(
-        2.0,
-        "sd",
-        "Standard deviations, from block to block of time, by which held-out recordings have to speak for an "
-        "effect where the baseline shows no misfit that stands out: chance is beyond them in one case of "
-        "forty.",
-        "statistics",
-    )
-    missed_over_noise: float = setting(
-        5.0,
-        "1",
-        "Error of the baseline in a quantity over the noise, root mean square, from which what is missing may "
-        "have to be told from the error of mesh and time step though nothing stands out.",
-        "judgement",
-    )
-    mesh_over_noise: float = setting(
-        3.0, "1", "Error of mesh and time step there, over the noise, from which it cannot be told.", "judgement"
-    )
-    mesh_explains_ratio: float = setting(
-        1.5, "1", "Error of the baseline over that of mesh and time step, up to which these explain it.", "judgement"
-    )
-    mesh_may_explain_ratio: float = setting(
-        3.0,
-        "1",
-        "Error of the baseline over that of mesh and time step, up to which these may explain it.",
-        "judgement",
-    )
-    significance_sd: float = setting(
-        2.5,
-        "sd",
-        "Standard deviations that an improvement must be worth by its stability over blocks of time.",
-        "judgement",
-    )
+    starts_of_a_set: int = setting(3, "1", "Shapes of a set that its fit may begin with.", "cost")
 
     # place and time of a mismatch
     time_blocks: int = setting(24, "1", "Blocks of time that a run is cut into.", "convention")
@@ -366,7 +229,6 @@ class DiagnosisSettings:
         "judgement",
     )
     window_parts: int = setting(8, "1", "Parts of a window that are told apart.", "convention")
-    closure_hats: int = setting(6, "1", "Hat functions of a closure, equidistant over a recording.", "cost")
     closure_sd: Mapping[str, float] = setting(
         {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
         "fitted scale",
@@ -408,9 +270,6 @@ class DiagnosisSettings:
         "1",
         "Deviation of an amplitude, as a share of that of what is known before, below which recordings limit it.",
         "judgement",
-    )
-    negligible_misfit_share: float = setting(
-        0.005, "1", "Share of the misfit below which none is said to be left.", "convention"
     )
 
     # next experiment

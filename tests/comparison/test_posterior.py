@@ -259,12 +259,11 @@ def test_what_resembles_an_effect_but_is_none_is_not_surely_it() -> None:
     resembles it, explain it as well as each other, and neither is sure."""
     y = drawn(15, {"creep": 4.0}) + SLOTS["sheet"] @ [0.0, 0.0, 0.5]
     found = compared(with_closures(y))
-    named = {c.name: c for c in found.causes.values()}
-    effect, unknown = named["creep"], named[f"{UNKNOWN}sheet"]
-    exact = max(e.factor for e in effect.explanations if not e.counts.any())
-    left = max(e.factor for e in effect.explanations)
+    effect, unknown = ([c for c in found.candidates if c.names == (name,)] for name in ("creep", f"{UNKNOWN}sheet"))
+    exact = max(c.factor for c in effect if not c.counts.any())
+    left = max(c.factor for c in effect)
     assert left > exact
-    assert max(e.factor for e in unknown.explanations if e.label) == pytest.approx(left)
+    assert max(c.factor for c in unknown if c.explanations[0].label) == pytest.approx(left)
     said = judged(found)
     assert said.in_place["sheet"] > 0.9
     assert 0.05 < said.inclusion["creep"] < 0.9

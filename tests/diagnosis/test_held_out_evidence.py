@@ -62,19 +62,11 @@ def test_a_model_that_is_better_where_both_see_gains(check: Problem) -> None:
     assert heldout.gain_of(None) is None
 
 
-def test_a_likelihood_ratio_is_taken_by_blocks_of_time_as_residuals_are_judged(check: Problem) -> None:
-    """What one model misses in the last quarter of the time speaks for the other there alone; what is as large as its
-    discretisation error and has its shape speaks far more quietly."""
-    check.runs[0].measured[0].values[BAD] -= 15.0 * SIGMA
-    right = model(check, CLEAN)
+def test_the_share_beyond_noise_that_is_gone() -> None:
+    """Of a mean square of 5, where noise is 1, all is gone at 1 and below, half at 3, nothing at 5 and above."""
 
-    def ratios(off: np.ndarray) -> np.ndarray:
-        found = heldout.ratios_of(check, heldout.seen_by_both(check, model(check, CLEAN + off), right))
-        assert found is not None
-        return found[0]
+    def missed(square: float) -> Fitted:
+        return cast(Fitted, SimpleNamespace(residual=np.full(50, np.sqrt(square)), pulls=0, samples=50))
 
-    late = ratios(np.where(T > 0.75, 5.0 * SIGMA * np.cos(150.0 * T), 0.0)[:, None])
-    assert len(late) == 24
-    assert np.all(late[-6:] > 5.0) and np.abs(late[:17]).max() < 3.0
-    assert ratios(0.5 * OWN).sum() < 0.05 * late.sum()
-    assert heldout.ratios_of(check, None) is None
+    shares = [heldout.beyond_noise(missed(5.0), missed(square)) for square in (0.8, 1.0, 3.0, 5.0, 7.0)]
+    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0, 0.0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -16,10 +15,9 @@ import pytest
 from sim_core.effects import effect_by_name
 from sim_core.errors import ConvergenceError
 from sim_core.rigs import Rig, parse_rig
-from sysid.diagnosis import baseline, candidates, held_out, refits, starts
+from sysid.diagnosis import baseline, candidates, held_out
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.result import Diagnosis
-from sysid.diagnosis.wording import NOWHERE
 from sysid.discretisation import coarser_cells
 from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
@@ -27,7 +25,6 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.discretisation import DISCRETISATION
-from sysid.solve.covariance import uncertainty
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
 COLUMNS = np.array([1.0, 0.7, 0.4])
@@ -45,11 +42,6 @@ def strength(rig: Rig) -> float:
 
 def stiffness(rig: Rig) -> float:
     return float(np.log(rig.bodies["gel"].material.E_pa / 1e5))  # type: ignore[union-attr]
-
-
-def told(found: Diagnosis) -> str:
-    """What became of the effect that is concealed."""
-    return found.tried["gel_relaxation"]
 
 
 def read(rig: Rig) -> np.ndarray:
@@ -132,7 +124,7 @@ def recording(name: str, values: np.ndarray, seed: int) -> Run:
 def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Diagnosis]:
     from tests.conftest import SMALL
 
-    def told(
+    def diagnosed(
         law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None, given: int = 1
     ) -> Diagnosis:
         """``given``: recordings; with more than one, none is held out."""
@@ -144,14 +136,13 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
         for module in (baseline, held_out):
             monkeypatch.setattr(module, "nuisance_parameters", lambda *_: [])
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
-        monkeypatch.setattr(diagnosing, "slot_evidence", lambda *_: [])
         names = ["press", *(f"press {k}" for k in range(2, given + 1))]
         runs = [recording(name, 1.2 * MATERIAL + concealed * LAW, 1 + 10 * k) for k, name in enumerate(names)]
         others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)] if given == 1 else []
         found, _ = diagnosing.diagnose_runs(rig or gel_rig(SMALL), runs, others)
         return found
 
-    return told
+    return diagnosed
 
 
 def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Diagnosis]) -> None:
@@ -166,7 +157,7 @@ def test_a_law_that_is_missing_is_named_where_it_acts(diagnose: Callable[..., Di
     assert share.ci95[0] < SHARE < share.ci95[1]
     windows = found.located.windows["press"]
     assert windows[0][0] == pytest.approx(0.5, abs=0.05) and windows[-1][1] == pytest.approx(1.0, abs=0.05)
-    assert "100 % of the difference" in found.sentence
+    assert "more than 99 % of the misfit beyond noise is gone" in found.sentence
     assert found.amended is not None and found.amended.held_out < found.baseline.held_out
     assert diagnose(law, concealed=0.0, held=0.0).verdict == "nothing_missing"
 
@@ -181,46 +172,17 @@ def test_of_three_recordings_the_last_is_held_out_where_none_is(
     assert any(f"{kept} was held out" in note for note in found.notes) == (kept is not None)
 
 
-@pytest.mark.parametrize(
-    ("measure", "value", "said"),
-    [
-        ("largest_change", 0.3, "changes no reading by more than 0.3"),
-        ("idle_effect", "that the gel relaxes, by 0.4 standard deviations", "not told from none"),
-        ("in_pose_noise", "the hand has play", "within the noise of the recorded poses"),
-    ],
-)
-def test_an_effect_without_size_is_no_answer_however_significant(
-    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, measure: str, value: object, said: str
-) -> None:
-    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
-        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
-
-    monkeypatch.setattr(refits, measure, lambda *_: value)
-    found = diagnose(law)
-    assert found.verdict == "unknown" and not found.effects
-    assert said in found.tried["gel_relaxation"]
-
-
 @pytest.mark.parametrize("own", [0.1, 0.15])
-@pytest.mark.parametrize("there", [0.15, 0.9])
 def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller(
-    diagnose: Callable[..., Diagnosis], own: float, there: float
+    diagnose: Callable[..., Diagnosis], own: float
 ) -> None:
-    """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well. Where the
-    effect is weak there, recordings held out speak for it, but do not say enough."""
+    """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
 
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
-        weak = there if run.name == "other" else 1.0
-        values = MATERIAL * (1.0 + stiffness(rig)) + weak * strength(rig) * LAW
-        return values + ((own * (1.0 - strength(rig) / SHARE) + 0.02) * RIPPLE if fine else 0.0)
+        return read(rig) + ((own * (1.0 - strength(rig) / SHARE) + 0.02) * RIPPLE if fine else 0.0)
 
-    found = diagnose(law, held=there * SHARE)
-    if there < 0.5:
-        assert found.verdict == "nothing_missing"
-        nats = re.fullmatch(r"held-out recordings speak for it by only ([0-9.]+) of 8.0 nats.*", told(found))
-        assert nats is not None and float(nats[1]) > 0.0, told(found)
-        return
-    assert found.verdict == "named", told(found)
+    found = diagnose(law)
+    assert found.verdict == "named", found.sentence
     assert found.effects[0].held_out_gain is not None and found.effects[0].held_out_gain > 0.0
     # The misfits that are reported are those that were compared.
     assert found.amended is not None and found.amended.held_out is not None and found.baseline.held_out is not None
@@ -236,20 +198,6 @@ def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., 
 
     found = diagnose(law)
     assert found.verdict == "unknown" and not found.effects
-
-
-def test_what_is_too_small_to_be_seen_marks_no_window(
-    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
-        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
-
-    for module in ("residual_analysis", "verdict"):
-        monkeypatch.setattr(f"sysid.diagnosis.{module}.DIAGNOSIS", replace(DIAGNOSIS, least_size=1e9))
-    found = diagnose(law)
-    assert found.verdict == "nothing_missing"
-    assert set(found.located.windows) == {"press"} and not any(found.located.windows.values())
-    assert found.located.phase == NOWHERE
 
 
 def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
@@ -331,60 +279,6 @@ def test_readings_on_which_the_discretisation_error_is_not_known_are_said(
     notes = diagnose(lambda rig, run, fine: read(rig)).notes
     assert "It counts little for a while." in notes
     assert any(said.endswith("has a fault.") for said in notes)
-
-
-def test_an_effect_goes_on_without_the_idle_one_beside_it(
-    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cut out of a pair with an effect that moves nothing, it comes to where it is alone."""
-    cut: list[refits.Trial] = []
-
-    def pruned(base: Any, trials: Any, failed: dict[str, str]) -> list[refits.Trial]:
-        (alone,) = refits.tempered(base, trials)
-        gradient = effect_by_name("gel_stiffness_gradient")
-        size = candidates.Amplitude(gradient.parameters[0], 0.0, 10.0)
-        beside = candidates.Hypothesis(gradient.name, gradient, {"y_per_m": 0.0, "z_per_m": 0.0}, (size,))
-        still = np.zeros(len(base.fitted.scaled))
-        start = starts.Start((*alone.hypotheses, beside), (np.array([0.3]), np.array([0.5])), still)
-        scales = candidates.recording_scales(base.problem.runs)
-        (pair,) = refits.trials_of(base, base.fitted, [start], scales, failed)
-        assert len(pair.names) == 2 and "stiffer" in pair.idle
-        found = refits.without_idle(base, pair, failed)
-        assert found is not None
-        cut.extend((alone, found))
-        return [alone]
-
-    monkeypatch.setattr(diagnosing, "_pruned", pruned)
-    diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0))
-    alone, found = cut
-    assert found.names == alone.names and set(found.fitted.rig.effects) == {"gel_relaxation"}
-    assert [p.name for p in found.fitted.parameters] == [p.name for p in alone.fitted.parameters]
-    # A refit ends where chi-square falls by less than its tolerance, from wherever it began.
-    assert abs(found.fitted.chi2 - alone.fitted.chi2) < DIAGNOSIS.refit_tolerance * max(1.0, alone.fitted.misfit)
-    off = np.abs(found.fitted.scaled - alone.fitted.scaled) / uncertainty(alone.fitted).sd
-    assert off.max() < np.sqrt(DIAGNOSIS.refit_tolerance)
-    assert found.predicts == pytest.approx(alone.predicts, rel=1e-2)
-
-
-def test_a_set_is_cut_down_to_the_effects_that_are_told_from_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fitted from where the set stands, its effect may be better explained than where it was looked at alone."""
-
-    def trial(names: str, gain: float, idle: str = "") -> Any:
-        hypotheses = tuple(SimpleNamespace(effect=SimpleNamespace(name=n)) for n in names)
-        return SimpleNamespace(
-            names=frozenset(names), hypotheses=hypotheses, gain=gain, idle=idle, fitted=SimpleNamespace(chi2=-gain)
-        )
-
-    def cut(_: object, found: Any, failed: dict[str, str]) -> Any:
-        return {"abc": trial("ab", 19.0, "that b acts"), "ab": trial("a", 18.0)}["".join(sorted(found.names))]
-
-    monkeypatch.setattr(diagnosing, "tempered", lambda _, trials: sorted(trials, key=lambda t: -t.gain))
-    monkeypatch.setattr(diagnosing, "without_idle", cut)
-    known = [trial("a", 9.0), trial("abc", 20.0, "that c acts"), trial("d", 5.0)]
-    found = diagnosing._pruned(None, known, {})  # type: ignore[arg-type]
-    assert [("".join(sorted(t.names)), t.gain) for t in found] == [("abc", 20.0), ("ab", 19.0), ("a", 18.0), ("d", 5.0)]
-    better = [trial("a", 18.5), *known[1:]]
-    assert {t.gain for t in diagnosing._pruned(None, better, {})} == {20.0, 19.0, 18.5, 5.0}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("share", [0.0, SHARE])

@@ -96,7 +96,7 @@ def test_an_effect_is_concealed_in_the_shape_that_was_drawn_for_it_and_within_it
     assert change is not None and np.flatnonzero(change).tolist() == [len(COLUMNS)]
     # All shapes that are looked at are still in the library, and the drawn one is in no model.
     case = injected(found, change)
-    assert {h for e, h in compared(case).evidence.shapes if e == "air_drag"} == {"slow", "fast"}
+    assert {h for e, h in compared(case).evidences[0].shapes if e == "air_drag"} == {"slow", "fast"}
     assert posterior(case, bags=0).models[0].effects == ("air_drag",)
     # A direction that is LARGEST deviations of the prior away has this trace at most.
     most = LARGEST * 5.0 * float(np.linalg.norm(between - between.mean()))

@@ -41,6 +41,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         (cwd / "answer").mkdir()
         fit = {"baseline": {"held_out": 1.0}, "amended": None}
         said = {"verdict": "nothing_missing", "effects": [], "fit": fit, "baseline_parameters": []}
+        said["posterior"] = {"effects": {}, "places": {}}
         text = json.dumps({**said, "amended_parameters": []})
         (cwd / "answer" / "diagnosis.json").write_text(text)
         return subprocess.CompletedProcess(command, 0, "", "")

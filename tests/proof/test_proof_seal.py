@@ -10,7 +10,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sysid.proof import keep_shard, score_cases
-from sysid.proof.answer import read_answers
+from sysid.proof.answer import read_answer
 from sysid.proof.outcome import outcome, sure_and_wrong
 from sysid.proof.run import ANSWERS_FILE
 from sysid.proof.score import wilson, within
@@ -42,9 +42,11 @@ def truth_of(*effects: str | None) -> dict:
 def diagnosis(verdict: str, names: list[str]) -> dict:
     return {
         "verdict": verdict,
-        "effects": [{"name": n, "parameters": [SHARE], "probability": 0.95 - 0.1 * k} for k, n in enumerate(names)],
-        "alternatives": [{"name": "stream_delay", "parameters": [], "probability": 0.02}],
-        "places": [{"place": "robot"}, {"place": "sheet"}],
+        "effects": [{"name": n, "parameters": [SHARE]} for n in names],
+        "posterior": {
+            "effects": {**{n: 0.95 - 0.1 * k for k, n in enumerate(names)}, "stream_delay": 0.02},
+            "places": {"robot": 0.6, "sheet": 0.3},
+        },
         "fit": {"baseline": {"held_out": 9.0}, "amended": {"held_out": 1.1} if names else None},
         "baseline_parameters": [{"name": "gel.E_pa", "ci95": [0.9e5, 1.1e5]}],
         "amended_parameters": [],
@@ -65,7 +67,7 @@ def folder(tmp_path: Path) -> Path:
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps(data))
         entries[name] = {
-            "seconds": 60.0, "error": "", "sha256": file_digest(path), "answer": asdict(read_answers(path)[0]),
+            "seconds": 60.0, "error": "", "sha256": file_digest(path), "answer": asdict(read_answer(path)),
         }  # fmt: skip
     answers = tmp_path / ANSWERS_FILE
     answers.write_text(json.dumps({"seal": "", "cases": entries}))
@@ -119,48 +121,13 @@ def test_score_counts(folder: Path) -> None:
     assert "Truth by another formulation (1 cases)" in text
 
 
-def posterior_of(*causes: str, other: tuple[str, ...] = (), kind: str) -> dict:
-    sets = [{"causes": list(causes), "words": "", "probability": 0.7}]
-    sets += [{"causes": [name], "words": "", "probability": 0.2} for name in other]
-    named = {c: 0.95 for c in (*causes, *other) if not c.startswith("unknown")}
-    places = {c.removeprefix("unknown: "): 0.95 for c in causes if c.startswith("unknown")}
-    return {"kind": kind, "sets": sets, "effects": named, "places": places}
-
-
-def test_the_posterior_is_scored_beside_the_verdict(folder: Path) -> None:
-    """Cases 2 and 3, whose verdicts are right, are one missed and one named falsely by the posterior."""
-    said = {
-        "case_01": posterior_of(kind="nothing_missing"),
-        "case_02": posterior_of(kind="nothing_missing"),
-        "case_03": posterior_of("bending_plasticity", kind="named"),
-        "case_04": posterior_of("air_drag", other=("bending_plasticity",), kind="one_of"),
-    }
-    answers = folder / ANSWERS_FILE
-    index = json.loads(answers.read_text())
-    for name, found in said.items():
-        path = folder / "answers" / name / "diagnosis.json"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(json.dumps({**diagnosis("nothing_missing", []), "one_model": found}))
-        _, by_posterior = read_answers(path)
-        assert by_posterior is not None
-        index["cases"][name] |= {"by_posterior": asdict(by_posterior)}
-        index["cases"][name].pop("sha256", None)
-    answers.write_text(json.dumps(index))
-    (folder / f"{ANSWERS_FILE}.sha256").write_text(file_digest(answers) + "\n")
-    text = score_cases(folder)
-    score = json.loads((folder / "score.json").read_text())
-    assert [c["outcome"] for c in score["by_posterior"]] == ["clear", "missed", "wrong", "right set"]
-    assert score["summary"]["by_posterior"]["wrong"]["count"] == 1
-    assert [c["outcome"] for c in score["cases"]][:3] == ["clear", "named", "right set"]
-    assert "By the posterior of the ledgers:" in text
-
-
-def test_unknown_physics_is_placed_by_the_posterior(tmp_path: Path) -> None:
+def test_unknown_physics_is_placed_where_something_is_missing_most_probably(tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.json"
-    found = posterior_of("unknown: robot", kind="unknown")
-    path.write_text(json.dumps({**diagnosis("nothing_missing", []), "one_model": found}))
-    _, answer = read_answers(path)
-    assert answer is not None and (answer.verdict, answer.named) == ("unknown", ())
+    found = diagnosis("unknown", [])
+    found["posterior"] = {"effects": {}, "places": {"robot": 0.95, "sheet": 0.04}}
+    path.write_text(json.dumps(found))
+    answer = read_answer(path)
+    assert (answer.verdict, answer.named) == ("unknown", ())
     assert outcome([sealed("backlash", "robot", in_library=False)], answer) == "right slot"
     assert outcome([sealed("jump", "sheet", in_library=False)], answer) == "other slot"
 
@@ -210,9 +177,7 @@ PLAY = sealed("backlash", "robot", in_library=False)
 def test_outcomes(tmp_path: Path, effects: list[dict], verdict: str, names: list[str], expected: str) -> None:
     path = tmp_path / "diagnosis.json"
     path.write_text(json.dumps(diagnosis(verdict, names)))
-    answer, by_posterior = read_answers(path)
-    assert by_posterior is None
-    assert outcome(effects, answer) == expected
+    assert outcome(effects, read_answer(path)) == expected
     wrong = verdict in ("named", "partly") and bool(names) and names[0] not in [e["name"] for e in effects]
     assert sure_and_wrong(effects, answer) == wrong
 

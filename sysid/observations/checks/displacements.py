@@ -20,7 +20,8 @@ def displacements(recording: Recording) -> Iterator[Finding]:
         moved = _changes(markers.displacement)
         places = _changes(markers.position)
         size = float(np.sqrt(np.nanmean(moved**2, axis=(0, 1)).sum()))
-        if size == 0.0:
+        resolution = float(np.spacing(np.nanmax(np.abs(markers.position), initial=0.0)))
+        if size <= resolution / OBSERVATIONS.at_rest_share:  # What a position cannot show.
             continue
         still = [
             k

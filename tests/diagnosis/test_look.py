@@ -1,40 +1,49 @@
-"""All effects at once from one rollout a recording, and the evidence that chance reaches."""
+"""All effects at once from one rollout a recording, and the model linearised where a set of them is fitted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from sim_core.effects import RecordingScales, effect_by_name
 from sim_core.simulate import Trace
 from sysid.comparison.evidence import Evidence
-from sysid.comparison.priors import Priors
+from sysid.comparison.posterior import compared
+from sysid.comparison.priors import AMPLITUDES, PRIORS, Priors
 from sysid.diagnosis.candidates import Amplitude, Hypothesis, drawn_shapes, hypotheses
-from sysid.diagnosis.screening import Screen, look
+from sysid.diagnosis.look import Look, look
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
-from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 T = np.linspace(0.0, 1.0, 200)
 SIGMA, SHARE = 0.01, 0.05
-MATERIAL, LAW, OTHER = (f[:, None] for f in (np.sin(6.0 * T), np.cos(6.0 * T), np.sin(23.0 * T)))
-OWN = 0.01 * np.sin(20.0 * T)[:, None]
+NARROW = replace(PRIORS, form=1e-6)
+COLUMNS = np.array([1.0, 0.7, 0.4])
+MATERIAL, LAW, OTHER = (f[:, None] * COLUMNS for f in (np.sin(6.0 * T), np.cos(6.0 * T), np.sin(23.0 * T)))
+OWN = 0.01 * np.sin(20.0 * T)[:, None] * COLUMNS
 
 
 def relaxation(typical: float, label: str = "") -> Hypothesis:
     effect = effect_by_name("gel_relaxation")
     size = next(p for p in effect.parameters if p.name == "share")
     return Hypothesis("gel_relaxation" + label, effect, {"tau_s": 0.2}, (Amplitude(size, 0.0, typical),))
+
+
+def _share_sd() -> float:
+    size = relaxation(0.1).amplitudes[0]
+    return size.sd * (size.typical - size.none)
 
 
 class Linear:
@@ -57,6 +66,7 @@ class Linear:
         courses = {"gel_relaxation": LAW, "gel_relaxation#other": OTHER, "gel_relaxation#broken": np.nan * LAW}
         columns = [courses[key] * values["share"] for c in candidates for key, values in c.items()]
         found: Future[Prediction] = Future()
+        columns += [np.zeros_like(MATERIAL) for _ in modulated]
         derivatives = np.stack([MATERIAL, *columns], axis=-1)
         found.set_result(Prediction({"gauge": scaled[0] * MATERIAL}, {"gauge": derivatives}, cast(Trace, None)))
         return found
@@ -64,75 +74,89 @@ class Linear:
 
 def recording(seed: int, share: float, at: np.ndarray) -> Run:
     """A recording with a share of the law and half of the error of the mesh."""
-    noise = SIGMA * np.random.default_rng(seed).standard_normal(T.shape)[:, None]
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(MATERIAL.shape)
     data = at[0] * MATERIAL + share * LAW + 0.5 * OWN + noise
-    return Run(f"run{seed}", "", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
+    return Run(f"run{seed}", "", (), {}, (Measured("gauge", "markers", T, data, ("u", "v", "w")),), 1.0)
 
 
-def screened(small_rig: Any, share: float, seeds: Sequence[int] = (1,)) -> Any:
-    """A screen of recordings with a share of the law, its baseline and what failed."""
+def looked(small_rig: Any, share: float, seeds: Sequence[int] = (1,), fitted: float | None = None) -> tuple[Look, Any]:
+    """A look at recordings with a share of the law, and its baseline; ``fitted``: from where the law has this share."""
     rig = small_rig()
     parameters = fit_parameters(rig, ["gel.E"])
     at = start_of(rig, parameters)
-
-    engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
-
-    def problem(numbers: Sequence[int]) -> Problem:
-        shapes = [ErrorShape("mesh", tuple({"gauge": OWN} for _ in numbers))]
-        return Problem([recording(n, share, at) for n in numbers], noise, engine, shapes, prior=True)
-
-    given = problem(seeds)
+    engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.full(3, SIGMA), 0.0, "test")}
+    shapes = [ErrorShape("mesh", tuple({"gauge": OWN} for _ in seeds))]
+    given = Problem([recording(n, share, at) for n in seeds], noise, engine, shapes, prior=True)
     base = given.evaluate(rig, parameters, at)
     wanted = [relaxation(0.1), relaxation(0.1, "#other"), relaxation(0.1, "#broken")]
-    screen, failed = look(engine, base, given, wanted, None, Approximations(engine, base, given))
-    return screen, base, failed
+    found = look(engine, base, given, wanted, Approximations(engine, base, given))
+    if fitted is None:
+        return found.look_at(given, base), base
+    there = rig.model_copy(update={"effects": {"gel_relaxation": {"share": fitted, "tau_s": 0.2}}})
+    nothing = rig.model_copy(update={"effects": {"gel_relaxation": {"share": 0.0, "tau_s": 0.2}}})
+    own = fit_parameters(there, ["effects.gel_relaxation.share"])
+    values = [Prediction({"gauge": at[0] * MATERIAL + fitted * LAW},
+                         {"gauge": np.stack([MATERIAL, LAW], axis=-1)}, cast(Trace, None)) for _ in seeds]  # fmt: skip
+    known = [replace(own[0], prior_sd=_share_sd())]
+    amended = given.compare(values, nothing, [*parameters, *known], np.array([at[0], fitted]))
+    return found.look_at(given, amended, wanted[:1]), amended
 
 
-def test_what_is_missing_is_found_with_its_size(small_rig: Any) -> None:
-    """The fall of chi-square is that of the law that is missing; the other promises nothing; what cannot be simulated
-    takes no part."""
-    screen, base, failed = screened(small_rig, SHARE)
-    assert [h.key for h in screen.hypotheses] == ["gel_relaxation", "gel_relaxation#other"] and not failed
-    best, other = screen.singles()
-    assert best.numbers == (0,) and best.gain > 50.0 and other.gain < 3.0
-    assert best.factors[0][0] * 0.1 == pytest.approx(SHARE, abs=3.0 * SIGMA / np.sqrt(100.0))
-    left = base.chi2 - best.fall
-    assert left == pytest.approx(len(T), rel=0.3)
+def test_a_fit_begins_where_the_amplitude_is_most_probable(small_rig: Any) -> None:
+    """What is missing has its size, and what cannot be simulated takes no part."""
+    found, base = looked(small_rig, SHARE)
+    assert [h.key for h in found.hypotheses.values()] == ["gel_relaxation", "gel_relaxation#other"] and not found.failed
+    (first, _) = found.hypotheses
+    (factors,), shift = found.start([first], 1.0)
+    assert factors[0] * 0.1 == pytest.approx(SHARE, abs=3.0 * SIGMA / np.sqrt(100.0))
+    assert shift.shape == base.scaled.shape
 
 
 def test_a_factor_stays_within_its_bounds(small_rig: Any) -> None:
     """A share below zero is none."""
-    screen, _, _ = screened(small_rig, -SHARE)
-    assert screen.score([0]).factors[0][0] == pytest.approx(0.0, abs=1e-9)
-    assert screen.score([0]).gain < 0.0
+    found, _ = looked(small_rig, -SHARE)
+    assert found.start([next(iter(found.hypotheses))], 1.0)[0][0][0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_simulated_null_is_rarely_exceeded(small_rig: Any) -> None:
-    """Of 60 recordings without any law about one in a hundred; of those with one all."""
-    gains, thresholds = [], []
-    for seed in range(60):
-        screen, _, _ = screened(small_rig, 0.0, (100 + seed,))
-        gains.append(screen.singles()[0].gain)
-        thresholds.append(screen.threshold())
-    assert np.mean(np.array(gains) > thresholds) <= 0.05
-    assert -6.0 < np.median(thresholds) < 12.0
-    assert screened(small_rig, SHARE)[0].singles()[0].gain > max(thresholds)
+def test_what_is_linear_is_as_probable_where_it_is_fitted(small_rig: Any) -> None:
+    """The Bayes factor of a law by the marginal likelihoods where it is fitted, wherever that is, is that of the ledger
+    of the baseline, in which it is one more direction."""
+    plain, _ = looked(small_rig, SHARE, (1, 2))
+    factor = compared(plain.ledger.merged, NARROW)
+    best = max(c.factor for c in factor.candidates if c.names == ("gel_relaxation",) and not c.counts.any())
+    for at in (SHARE, 0.6 * SHARE):
+        there, _ = looked(small_rig, SHARE, (1, 2), fitted=at)
+        assert there.ledger.fitted == {"gel_relaxation": "gel"}
+        both = compared(replace(plain.ledger, amended=(there.ledger,)).merged, NARROW)
+        (own,) = (c for c in both.candidates if c.names == ("gel_relaxation",) and not c.counts.any())
+        assert own.at == 1
+        # Of three widths of the prior, equally probable, the widest has the evidence in full, the others less.
+        assert own.factor == pytest.approx(best, abs=1.2)
+        assert own.factor == pytest.approx(_averaged(plain), abs=0.02)
+
+
+def _averaged(plain: Look) -> float:
+    """log B of the law by the ledger of the baseline, averaged over the widths of the prior of its amplitude."""
+    evidence = Evidence(plain.ledger, priors=NARROW)
+    shape = next(iter(plain.hypotheses))
+    factors = [evidence.factor(evidence.directions(shape, scale)) for scale in AMPLITUDES]
+    return float(logsumexp(factors) - np.log(len(factors)))
 
 
 def test_the_ledger_of_a_look_has_its_evidence(small_rig: Any) -> None:
     """Of readings with the dense covariance of noise, modulus and error of the mesh, and twice that for an amplitude
     that cannot be negative and is far from zero; all readings are in its blocks of time."""
-    screen, base, _ = screened(small_rig, SHARE, (1, 2))
-    found = screen.ledger(base)
+    seen, base = looked(small_rig, SHARE, (1, 2))
+    found = seen.ledger
     (own,) = (c for c in found.columns if c.owner == "mesh")
     modulus = next(c for c in found.columns if c.kind == "parameter")
     share = next(c for c in found.columns if c.kind == "effect")
-    left = np.concatenate([m.values[:, 0] for run in (1, 2) for m in recording(run, SHARE, base.scaled).measured])
-    left -= np.tile(base.scaled[0] * MATERIAL[:, 0] + own.prior_mean * OWN[:, 0], 2)
+    left = np.concatenate([m.values.ravel() for run in (1, 2) for m in recording(run, SHARE, base.scaled).measured])
+    left -= np.tile((base.scaled[0] * MATERIAL + own.prior_mean * OWN).ravel(), 2)
 
     def density(law: float) -> float:
         shapes = ((modulus.prior_sd, MATERIAL), (own.prior_sd, OWN), (law * share.prior_sd * share.scale, LAW))
-        tables = [sd * np.tile(shape[:, 0], 2) for sd, shape in shapes]
+        tables = [sd * np.tile(shape.ravel(), 2) for sd, shape in shapes]
         covariance = SIGMA**2 * np.eye(len(left)) + sum(np.outer(t, t) for t in tables)
         return float(multivariate_normal(None, covariance).logpdf(left))
 
@@ -141,30 +165,9 @@ def test_the_ledger_of_a_look_has_its_evidence(small_rig: Any) -> None:
     assert first[0] == other[0] == "gel_relaxation" and evidence.columns[0].place == "gel"
     law = evidence.directions(first)
     assert evidence.factor(law) == pytest.approx(density(1.0) - density(0.0) + np.log(2.0), abs=1e-4)
-    assert sum(b.readings for b in found.blocks) == 2 * len(T)
+    assert sum(b.readings for b in found.blocks) == 6 * len(T)
     (amplitude,) = evidence.amplitudes(law)
     assert amplitude.value == pytest.approx(SHARE, abs=3.0 * SIGMA / np.sqrt(200.0))
-
-
-def test_two_laws_are_scored_together(small_rig: Any) -> None:
-    """The minimum over both is the least-squares solution."""
-    screen, base, _ = screened(small_rig, SHARE)
-    both = screen.score([0, 1])
-    assert len(both.factors) == 2 and both.fall >= screen.score([0]).fall - 1e-6
-    assert isinstance(screen, Screen) and isinstance(base, Fitted)
-
-
-def test_a_recording_that_forbids_a_law_does_not_hide_it_in_the_others(small_rig: Any) -> None:
-    """In the second recording the response is wrong, as near a resonance: far too large, and against the residual."""
-    screen, _, _ = screened(small_rig, SHARE, (1, 2))
-    place = screen.places[0][0]
-    spoilt = screen.blocks[1].gram
-    spoilt[place] *= -30.0
-    spoilt[:, place] *= -30.0
-    assert screen.score([0]).gain < 0.0
-    best = screen.by_recording()[0]
-    assert best.numbers == (0,) and best.gain > 20.0
-    assert best.factors[0][0] * 0.1 == pytest.approx(SHARE, abs=0.02)
 
 
 def test_a_shape_is_drawn_for_a_benchmark_that_no_diagnosis_looks_at(small_rig: Any) -> None:

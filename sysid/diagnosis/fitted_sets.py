@@ -1,0 +1,202 @@
+"""Sets of effects fitted together with the rig, each from where the linearised model says.
+
+Laws are not linear in their amplitudes, so sets that hold nearly all of the probability are fitted, and compared where
+they are. A fit begins where the ledger's most probable amplitudes are, with the rig's fitted numbers and with those it
+was given: near a snap, or where the baseline has taken up part of an effect, one linear step does not lead back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_core.effects import RecordingScales
+from sim_core.errors import ThinshellError
+from sim_core.rigs import Rig
+from sysid.comparison.ledger import Ledger
+from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.candidates import Hypothesis, hypotheses
+from sysid.diagnosis.fits import fit_within
+from sysid.diagnosis.look import Look, look
+from sysid.diagnosis.predictability import predicted_held_out
+from sysid.diagnosis.reference_model import added_at
+from sysid.discretisation.approximations import Approximations
+from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
+from sysid.model.space_mapping import SpaceMappedPredictor
+from sysid.model.sparing_predictor import SparingPredictor
+from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.solve import SOLVE
+from sysid.solve.optimum import Fitted
+
+Shapes = tuple[tuple[str, str], ...]
+"""Effects, each with the label of one of its shapes in a ledger."""
+
+
+@dataclass(frozen=True)
+class FittedSet:
+    """The rig with a set of effects beyond it, empty for the baseline. ``there``: the model on the recordings held out,
+    None without any; ``seen``: the look at all other effects from there."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    fitted: Fitted
+    there: Fitted | None
+    seen: Look
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects of the set."""
+        return tuple(sorted(h.effect.name for h in self.hypotheses))
+
+    @property
+    def title(self) -> str:
+        """The effects in words, as clauses."""
+        return " and that ".join(h.effect.title for h in self.hypotheses)
+
+    @property
+    def ledger(self) -> Ledger:
+        """Of the model linearised there."""
+        return self.seen.ledger
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where a fit begins. ``centre``: rig that the priors pull to; ``scaled`` ``(p,)``: in the fitted scale."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    centre: Rig
+    parameters: list[FitParameter]
+    scaled: np.ndarray
+
+
+class SetFits:
+    """Fits of sets of effects to the recordings of a baseline. ``failed``: why some were not possible, by what was
+    tried."""
+
+    def __init__(self, base: Baseline, scales: RecordingScales, shapes: Sequence[Hypothesis] = ()) -> None:
+        self._base, self._scales = base, scales
+        approximations = Approximations(base.engine, base.fitted, base.problem)
+        wanted = [*hypotheses(base.fitted.rig, scales), *shapes]
+        self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
+        self.failed = dict(self._responses.failed)
+        plain = replace(base.fitted, predictions=self._responses.at_the_baseline)
+        self.baseline = FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, plain))
+
+    def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
+        """Of some sets those that simulations explain best where their fits would begin."""
+        if len(wanted) <= count:
+            return list(wanted)
+        starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)[:1]]
+        left = self._glance(starts)
+        order = np.argsort(left)[:count]
+        return [wanted[k] for k in order if np.isfinite(left[k])]
+
+    def fit(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float) -> FittedSet | None:
+        """A set of effects fitted beside those of ``begun``, from the best of several starts, each with shapes from a
+        look at it; None, and why in ``failed``, where that cannot be simulated."""
+        base, name = self._base, " and ".join(e for e, _ in wanted[0])
+        starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)]
+        left = self._glance(starts)
+        if not np.isfinite(left).any():
+            self.failed[name] = "could not be simulated"
+            return None
+        start = starts[int(np.argmin(left))]
+        try:
+            problem = copy(base.problem)
+            problem.engine = SparingPredictor(base.problem.engine)
+            fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, start.scaled)
+            if base.reference is not None:
+                problem.engine = self._engine_at(fitted)
+                fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, fitted.scaled)
+            if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
+                self.failed[name] = "it moves readings out of sight"
+                return None
+            whole = (*begun.hypotheses, *start.hypotheses)
+            seen = self._responses.look_at(problem, fitted, whole)
+            there = predicted_held_out(base.check, base.there, fitted)
+        except ThinshellError as error:
+            self.failed[name] = f"could not be simulated: {error}"
+            return None
+        return FittedSet(whole, fitted, there, seen)
+
+    def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
+        """Predictions with what the reference model adds where a model stands."""
+        base, coarse = self._base, self._base.engine.coarse
+        assert base.reference is not None
+        runs = base.problem.runs
+        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+        jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+        added = added_at(coarse, base.reference, rigs, runs, [job.result() for job in jobs])
+        return SpaceMappedPredictor(coarse, added.readings)
+
+    def _starts(self, begun: FittedSet, shapes: Shapes, temper: float) -> list[_Start]:
+        """From where the most probable amplitudes lead, and with the rig's own numbers."""
+        chosen = tuple(begun.seen.hypotheses[pair] for pair in shapes)
+        factors, shift = begun.seen.start(shapes, temper)
+        fitted = begun.fitted
+        home = start_of(fitted.centre, fitted.parameters)
+        home = np.where([p.target.startswith("effects.") for p in fitted.parameters], fitted.scaled, home)
+        return [self._start(fitted, chosen, factors, at) for at in (fitted.scaled + shift, home)]
+
+    def _start(
+        self, begun: Fitted, chosen: tuple[Hypothesis, ...], factors: Sequence[np.ndarray], scaled: np.ndarray
+    ) -> _Start:
+        values = {h.key: h.values(list(f)) for h, f in zip(chosen, factors, strict=True)}
+        rig = begun.rig.model_copy(update={"effects": {**begun.rig.effects, **values}})
+        own = self._parameters(rig, chosen)
+        parameters = [*begun.parameters, *own]
+        limits = np.array([p.scaled_bounds for p in parameters]).T
+        at = np.clip(np.concatenate([scaled, start_of(rig, own)]), *limits)
+        centre = begun.centre.model_copy(update={"effects": {**begun.centre.effects, **_at_rest(values, chosen)}})
+        return _Start(chosen, centre, parameters, at)
+
+    def _parameters(self, rig: Rig, chosen: Sequence[Hypothesis]) -> list[FitParameter]:
+        """The parameters of effects, with priors that fit the recordings."""
+        found = []
+        for h in chosen:
+            by_name = {p.name: p.fitted_to(self._scales) for p in h.effect.parameters}
+            names = [n for n in rig.effects[h.key] if by_name[n].lower < by_name[n].upper]
+            for p in fit_parameters(rig, [f"effects.{h.key}.{n}" for n in names]):
+                found.append(replace(p, prior_sd=by_name[p.target.rsplit(".", 1)[1]].prior_sd))
+        return found
+
+    def _glance(self, starts: Sequence[_Start]) -> np.ndarray:
+        """What simulations at some starts leave, beside one linear step of the baseline's parameters."""
+        problem, base = self._base.problem, self._base.fitted
+        jobs = []
+        for s in starts:
+            rigs = [rig_in(s.centre, s.parameters, s.scaled, run.name) for run in problem.runs]
+            jobs.append([problem.engine.submit(rig, run) for rig, run in zip(rigs, problem.runs, strict=True)])
+        found = []
+        for s, row in zip(starts, jobs, strict=True):
+            try:
+                found.append(_least(base, problem.assemble([job.result() for job in row], [], s.scaled).residual))
+            except ThinshellError:
+                found.append(np.inf)
+        return np.array(found)
+
+
+def _least(base: Fitted, residual: np.ndarray) -> float:
+    """Least chi-square of a whitened residual along the derivatives of the baseline, within what is known of its
+    parameters; its chi-square where other readings are in sight than there."""
+    data = len(base.residual) - base.pulls
+    if len(residual) != data or not base.parameters:
+        return float(residual @ residual)
+    j = base.jacobian[:data]
+    known = np.array([p.known_sd or p.prior_sd for p in base.parameters])
+    slope = j.T @ residual
+    return float(residual @ residual - slope @ np.linalg.solve(j.T @ j + np.diag(1.0 / known**2), slope))
+
+
+def _at_rest(values: dict[str, dict[str, float]], chosen: Sequence[Hypothesis]) -> dict[str, dict[str, float]]:
+    """Values that the priors pull to: amplitudes at nothing, if a fit can stand there."""
+    found = {}
+    for h in chosen:
+        mine = dict(values[h.key])
+        for a in h.amplitudes:
+            if np.isfinite(a.none) and not a.parameter.log:
+                mine[a.parameter.name] = a.none
+        found[h.key] = mine
+    return found

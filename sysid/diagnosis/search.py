@@ -1,0 +1,110 @@
+"""Which sets of effects are fitted: best first, until those that are hold nearly all of the probability.
+
+The posterior is that of the rig and of all sets of effects (:mod:`sysid.comparison.posterior`), each in the ledger
+where most of its effects are fitted. The most probable sets that are not fitted yet are fitted next. Where none leaves
+noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
+evidence says little of which is best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.comparison.explanations import UNKNOWN
+from sysid.comparison.ledger import Ledger
+from sysid.comparison.posterior import FITTED, Candidate, Compared, Posterior, compared, judged
+from sysid.comparison.priors import PRIORS
+from sysid.diagnosis.fitted_sets import FittedSet, SetFits, Shapes
+from sysid.settings.diagnosis import DIAGNOSIS
+
+Tell = Callable[[float, str], None]
+
+
+def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
+    """The baseline and all sets that were fitted, and the posterior."""
+    fitted = [fits.baseline]
+    tried: set[tuple[str, ...]] = {()}
+    simulated = False
+    while True:
+        found = compared(ledger_with(fitted))
+        posterior = judged(found)
+        room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
+        wanted = _wanted(posterior, tried)[: DIAGNOSIS.fitted_together]
+        if not simulated and _leaves_misfit(found, fitted[0].ledger):
+            simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
+        wanted = [names for names in wanted if names not in tried][:room]
+        if not wanted:
+            return fitted, posterior
+        tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), " or ".join(" and ".join(names) for names in wanted))
+        tried |= set(wanted)
+        begun = [fitted[_at(found, names)] for names in wanted]
+        shapes = [_shapes(found, names) for names in wanted]
+        tempers = [found.evidences[0].temper] * len(wanted)
+        with ThreadPoolExecutor(len(wanted)) as threads:
+            more = threads.map(fits.fit, begun, shapes, tempers)
+            fitted += [one for one in more if one is not None]
+
+
+def ledger_with(fitted: list[FittedSet]) -> Ledger:
+    """The ledger of the baseline with those where sets of effects are fitted."""
+    return replace(fitted[0].ledger, amended=tuple(one.ledger.merged for one in fitted[1:]))
+
+
+def _wanted(posterior: Posterior, tried: set[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Sets of effects that were not tried and have a notable share of the probability of such sets, best first. None
+    where nothing missing is the best of them: what is weak is linear."""
+    known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
+    whole = sum(m.probability for m in known)
+    if not known[0].effects:
+        return []
+    return [
+        m.effects
+        for m in known
+        if m.effects not in tried and m.probability > DIAGNOSIS.fitted_share * max(whole, 1e-300)
+    ]
+
+
+def _leaves_misfit(found: Compared, ledger: Ledger) -> bool:
+    """Whether all columns together, where that is least, leave more than noise does."""
+    chance = np.sqrt(2.0 / max(ledger.readings, 1))
+    return found.evidences[0].temper > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
+
+
+def _simulated_best(fits: SetFits, found: Compared) -> list[tuple[str, ...]]:
+    """Single effects that simulations explain best where their fits would begin."""
+    names = {c.names for c in found.candidates if len(c.names) == 1 and not c.names[0].startswith(UNKNOWN)}
+    best = sorted(names, key=lambda n: -max(c.factor for c in found.candidates if c.names == n))
+    here = [n for n in best if _at(found, n) == 0][: DIAGNOSIS.simulated_effects]
+    shapes = {_shapes(found, n)[0]: n for n in here}
+    first = fits.promising(fits.baseline, list(shapes), found.evidences[0].temper, DIAGNOSIS.fitted_together)
+    return [shapes[s] for s in first]
+
+
+def _at(found: Compared, names: tuple[str, ...]) -> int:
+    return _best(found, names)[0].at
+
+
+def _best(found: Compared, names: tuple[str, ...]) -> list[Candidate]:
+    """Candidates of a set, most probable first."""
+    logs = found.logs(PRIORS.weights)
+    mine = [k for k, c in enumerate(found.candidates) if c.names == names]
+    return [found.candidates[k] for k in sorted(mine, key=lambda k: -float(logs[k]))]
+
+
+def _shapes(found: Compared, names: tuple[str, ...]) -> list[Shapes]:
+    """The most probable shapes of the effects of a set beside those that are fitted where it was compared."""
+    best = _best(found, names)
+    inside = _fitted_names(best[0])
+    shapes = [
+        tuple((n, e.label) for n, e in zip(c.names, c.explanations, strict=True) if n not in inside) for c in best
+    ]
+    return list(dict.fromkeys(shapes))[: DIAGNOSIS.starts_of_a_set]
+
+
+def _fitted_names(candidate: Candidate) -> set[str]:
+    """Effects of a candidate that are fitted where it was compared, whose explanations have no directions."""
+    return {n for n, e in zip(candidate.names, candidate.explanations, strict=True) if e.label == FITTED}
