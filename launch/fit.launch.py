@@ -25,6 +25,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("bag", default_value="", description="recording to fit"),
             DeclareLaunchArgument("parameters", default_value="[strip.E]", description="what to estimate, a list"),
             DeclareLaunchArgument("output_dir", default_value="fits", description="folder of the results"),
+            DeclareLaunchArgument(
+                "sysid_params", default_value=str(NODES / "sysid_node.yaml"), description="parameter file of sysid_node"
+            ),
             Node(
                 package="thinshell_ros",
                 executable="sysid_node",
@@ -32,7 +35,7 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 parameters=[
-                    str(NODES / "sysid_node.yaml"),
+                    LaunchConfiguration("sysid_params"),
                     {
                         "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
                         "bag_uri": ParameterValue(LaunchConfiguration("bag"), value_type=str),

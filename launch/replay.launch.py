@@ -16,6 +16,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
+FINISH_S = "30"
+"""Time [s] that a recording gets to be finished, of each signal."""
+
 NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
 
 
@@ -33,6 +36,14 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("target_pose", default_value="target_pose", description="topic of the controller"),
             DeclareLaunchArgument("current_pose", default_value="current_pose", description="topic of the robot"),
             DeclareLaunchArgument("simulate", default_value="false", description="start sim_node with the rig"),
+            DeclareLaunchArgument(
+                "sim_params", default_value=str(NODES / "sim_node.yaml"), description="parameter file of sim_node"
+            ),
+            DeclareLaunchArgument(
+                "replay_params",
+                default_value=str(NODES / "replay_node.yaml"),
+                description="parameter file of replay_node",
+            ),
             Node(
                 package="thinshell_ros",
                 executable="sim_node",
@@ -40,11 +51,13 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("simulate")),
-                parameters=[str(NODES / "sim_node.yaml"), {"rig": rig, "publish_clock": True}],
+                parameters=[LaunchConfiguration("sim_params"), {"rig": rig, "publish_clock": True}],
             ),
             Node(
                 package="thinshell_ros",
                 executable="replay_node",
+                sigterm_timeout=FINISH_S,
+                sigkill_timeout=FINISH_S,
                 name="trajectory_deploy",
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
@@ -53,7 +66,7 @@ def generate_launch_description() -> LaunchDescription:
                     ("current_pose", LaunchConfiguration("current_pose")),
                 ],
                 parameters=[
-                    str(NODES / "replay_node.yaml"),
+                    LaunchConfiguration("replay_params"),
                     {
                         "trajectory_uri": ParameterValue(LaunchConfiguration("trajectory"), value_type=str),
                         "rig": rig,

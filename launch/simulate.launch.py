@@ -13,6 +13,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
+FINISH_S = "30"
+"""Time [s] that a recording gets to be finished, of each signal."""
+
 NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
 
 
@@ -25,6 +28,14 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("publish_clock", default_value="false", description="simulated time"),
             DeclareLaunchArgument("record", default_value="false", description="record all topics"),
             DeclareLaunchArgument("bag", default_value="", description="new bag; empty: by date and time"),
+            DeclareLaunchArgument(
+                "sim_params", default_value=str(NODES / "sim_node.yaml"), description="parameter file of sim_node"
+            ),
+            DeclareLaunchArgument(
+                "record_params",
+                default_value=str(NODES / "record_node.yaml"),
+                description="parameter file of record_node",
+            ),
             Node(
                 package="thinshell_ros",
                 executable="sim_node",
@@ -32,7 +43,7 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 parameters=[
-                    str(NODES / "sim_node.yaml"),
+                    LaunchConfiguration("sim_params"),
                     {
                         "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
                         "publish_clock": LaunchConfiguration("publish_clock"),
@@ -42,12 +53,14 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="thinshell_ros",
                 executable="record_node",
+                sigterm_timeout=FINISH_S,
+                sigkill_timeout=FINISH_S,
                 name="recorder",
                 namespace=LaunchConfiguration("namespace"),
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("record")),
                 parameters=[
-                    str(NODES / "record_node.yaml"),
+                    LaunchConfiguration("record_params"),
                     {
                         "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
                         "uri": ParameterValue(LaunchConfiguration("bag"), value_type=str),

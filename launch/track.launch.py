@@ -26,6 +26,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("tracks", default_value="marker_tracks", description="topic of the tracks"),
             DeclareLaunchArgument("layout", default_value="", description="tracking.json of 'thinshell track'"),
+            DeclareLaunchArgument(
+                "marker_params",
+                default_value=str(NODES / "marker_node.yaml"),
+                description="parameter file of marker_node",
+            ),
             Node(
                 package="thinshell_ros",
                 executable="marker_node",
@@ -38,7 +43,7 @@ def generate_launch_description() -> LaunchDescription:
                     ("marker_tracks", LaunchConfiguration("tracks")),
                 ],
                 parameters=[
-                    str(NODES / "marker_node.yaml"),
+                    LaunchConfiguration("marker_params"),
                     {"layout": ParameterValue(LaunchConfiguration("layout"), value_type=str)},
                 ],
             ),

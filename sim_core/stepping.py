@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,15 @@ from sim_core.scene.strain_range import check_strains_at
 from sim_core.sensing.observe import Observer
 from sim_core.solve.report import NewtonSettings, StepReport
 from sim_core.solve.step import State
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A simulation as it was."""
+
+    steps: CoreSteps
+    kept: tuple[Any, ...]
+    halvings: int
 
 
 class Simulation:
@@ -47,6 +58,16 @@ class Simulation:
         self._check_scene()
         self.halvings = 0
         self._steps = CoreSteps(self.scene, self._settings, frames or {}, self.left, self._settle, self.begin)
+
+    def snapshot(self) -> Snapshot:
+        """The present, to go back to by :meth:`restore`, as often as wanted, after a reset too."""
+        return Snapshot(self._steps, self._steps.kept(), self.halvings)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot of this simulation: what follows is the same bit for bit."""
+        self._check_scene()
+        self._steps, self.halvings = snapshot.steps, snapshot.halvings
+        self._steps.go_back(snapshot.kept)
 
     def refresh(self) -> None:
         """Go on from the present state with the numbers that the scene has now: materials that :meth:`Scene.use` has

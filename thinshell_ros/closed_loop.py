@@ -3,9 +3,9 @@ prediction diagnose the recording, amend the rig, and optimise again.
 
     python -m thinshell_ros.closed_loop TASK --out FOLDER --rounds 3
 
-The robot is whatever takes ``target_pose`` in the namespace ``--namespace``: a controller, or a ``sim_node`` that
-conceals something (``launch/closed_loop.launch.py``). Each round is a folder with its task, motion, bag, diagnosis and
-rig.
+The robot is whatever takes ``target_pose`` in the namespace ``--namespace``: a controller, or with ``--simulated RIG``
+a ``sim_node`` of a rig that conceals something (``launch/closed_loop.launch.py``), which begins each round with fresh
+bodies and stands still in between. Each round is a folder with its task, motion, bag, diagnosis and rig.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from sim_core.errors import ConfigError, ThinshellError, WorkerError
 from sim_core.rigs import load_rig, rig_to_yaml
 from sim_core.rigs.load import find_config
 from sim_core.rigs.yamlfile import read_mapping
-from sim_core.tasks import load_task
+from sim_core.tasks import TaskRollouts, load_task
 
 SERVICE_S, REPLAY_S = 120.0, 3600.0
 """Longest time for an answer of the replay node, and for a replay, which waits for slow physics [s]."""
 
-NODE = "trajectory_deploy"
+NODE, SIMULATOR = "trajectory_deploy", "thinshell_sim"
 
 Step = Callable[[Sequence[str]], None]
 """Runs a ``thinshell`` command; raises ``WorkerError`` where it fails."""
@@ -49,11 +50,12 @@ class Replayed:
 
 @dataclass(frozen=True)
 class Round:
-    """``reward``: of the motion by the rig of the round; ``watch``: of its replay; ``verdict``, ``effects``: of the
-    diagnosis, '' and none where there was none to make."""
+    """``reward``: of the motion by the rig of the round; ``achieved``: on the rig of a simulated robot, None on others;
+    ``watch``: of its replay; ``verdict``, ``effects``: of the diagnosis, '' and none where there was none to make."""
 
     number: int
     reward: float
+    achieved: float | None
     state: str
     watch: str
     verdict: str = ""
@@ -67,6 +69,12 @@ def thinshell(words: Sequence[str]) -> None:
         raise WorkerError(f"thinshell {' '.join(words)} ended with code {code}.", "See what it says above.")
 
 
+def reward_of(task: str, motion: Path) -> float:
+    """Reward of the motion in the folder of an optimisation, on the rig of a task; NaN where it ends early."""
+    action = np.array(json.loads((motion / "result.json").read_text())["action"])
+    return TaskRollouts(load_task(task)).outcome(action).reward
+
+
 def close_loop(
     task: str,
     out: Path,
@@ -75,38 +83,40 @@ def close_loop(
     replay: Callable[[Path, Path, Path], Replayed],
     step: Step = thinshell,
     on_round: Callable[[Round], None] = lambda done: None,
+    simulated: str = "",
 ) -> list[Round]:
-    """Go round until a replay is as predicted, or so many times. ``replay``: takes trajectory, rig and the bag to make.
+    """Go round until a replay is as predicted, or so many times. ``replay``: takes trajectory, rig and the bag to make;
+    ``simulated``: the rig of a simulated robot.
 
     Raises:
         ThinshellError: a step failed, or a replay was aborted.
     """
+    robot = rig_to_yaml(load_rig(simulated)) if simulated else ""
+    first = rig_to_yaml(load_task(task).rig)
     out.mkdir(parents=True, exist_ok=False)
-    rig = out / "rig.yaml"
-    rig.write_text(rig_to_yaml(load_task(task).rig))
+    given_rig = rig = out / "rig.yaml"
+    rig.write_text(first)
+    if robot:
+        (out / "robot.yaml").write_text(robot)
     stem, colon, variant = task.rpartition(":") if ":" in task else (task, "", "")
     given = read_mapping(find_config(stem, "tasks"))
+
+    def written(path: Path, on: Path) -> str:
+        """The task on a rig, its target that of the first round."""
+        path.write_text(yaml.safe_dump({**given, "rig": str(on), "target_rig": str(given_rig)}, sort_keys=False))
+        return f"{path}{colon}{variant}"
+
     done: list[Round] = []
     for number in range(1, rounds + 1):
         here = out / f"round_{number}"
         here.mkdir()
-        (here / "task.yaml").write_text(yaml.safe_dump({**given, "rig": str(rig)}, sort_keys=False))
-        step(
-            [
-                "optimise",
-                f"{here / 'task.yaml'}{colon}{variant}",
-                "--budget",
-                str(budget),
-                "--workers",
-                "1",
-                "--out",
-                str(here / "motion"),
-            ]
-        )
+        on_rig = written(here / "task.yaml", rig)
+        step(["optimise", on_rig, "--budget", str(budget), "--workers", "1", "--out", str(here / "motion")])
         trajectory = here / "motion" / "trajectory.json"
         reward = float(json.loads(trajectory.read_text())["provenance"]["reward"])
+        achieved = reward_of(written(here / "robot_task.yaml", out / "robot.yaml"), here / "motion") if robot else None
         ended = replay(trajectory, rig, here / "bag")
-        now = Round(number, reward, ended.state, ended.watch)
+        now = Round(number, reward, achieved, ended.state, ended.watch)
         if ended.state != "succeeded":
             raise WorkerError(f"The replay of round {number} ended as {ended.state}: {ended.detail}", "See its bag.")
         if ended.watch != "as predicted":
@@ -124,13 +134,17 @@ def close_loop(
 
 
 class Robot:
-    """Replays on a robot by ``replay_node``, a process of its own for each replay. A context manager."""
+    """Replays on a robot by ``replay_node``, a process of its own for each replay. A context manager.
 
-    def __init__(self, namespace: str, simulated_time: bool) -> None:
+    ``simulated``: the robot is a ``sim_node`` that publishes /clock. Its bodies are fresh in each replay, and in
+    between it stands still, so that its physics takes no time from what else there is to do.
+    """
+
+    def __init__(self, namespace: str, simulated: bool) -> None:
         import rclpy
 
         rclpy.init()
-        self._place, self._simulated = namespace.rstrip("/"), simulated_time
+        self._place, self._simulated = namespace.rstrip("/"), simulated
         self._node = rclpy.create_node("closed_loop", namespace=namespace or "/")
 
     def __enter__(self) -> Robot:
@@ -144,6 +158,26 @@ class Robot:
 
     def replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
         """Configure, activate, execute, and wait for the end; the bag is finished then."""
+        if not self._simulated:
+            return self._replay(trajectory, rig, bag)
+        from std_srvs.srv import SetBool, Trigger
+
+        self._simulator(Trigger, "reset", Trigger.Request())
+        self._simulator(SetBool, "pause", SetBool.Request(data=False))
+        try:
+            return self._replay(trajectory, rig, bag)
+        finally:
+            self._simulator(SetBool, "pause", SetBool.Request(data=True))
+
+    def _simulator(self, kind: Any, name: str, request: Any) -> None:
+        """Ask the simulated robot, which may still be building its scene."""
+        asked = time.monotonic()
+        while not (answer := self._ask(kind, f"{SIMULATOR}/{name}", request)).success:
+            if time.monotonic() - asked > SERVICE_S:
+                raise WorkerError(f"The simulated robot does not {name}: {answer.message}", "See what it says above.")
+            time.sleep(0.5)
+
+    def _replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
         from diagnostic_msgs.msg import DiagnosticStatus
         from lifecycle_msgs.msg import Transition
         from lifecycle_msgs.srv import ChangeState
@@ -161,17 +195,17 @@ class Robot:
         try:
             for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
                 request = ChangeState.Request(transition=Transition(id=number))
-                if not self._ask(ChangeState, "change_state", request, process).success:
+                if not self._ask(ChangeState, f"{NODE}/change_state", request, process).success:
                     raise WorkerError("The replay node refused the motion.", "See what it says above.")
             asked = time.monotonic()
-            while not (begun := self._ask(Trigger, "execute", Trigger.Request(), process)).success:
+            while not (begun := self._ask(Trigger, f"{NODE}/execute", Trigger.Request(), process)).success:
                 if time.monotonic() - asked > SERVICE_S:
                     raise WorkerError(f"The replay does not begin: {begun.message}", "See what it says above.")
                 time.sleep(0.5)  # readings and the recorder may not be there yet
             self._until(lambda: statuses[-1].message in ("succeeded", "aborted"), process, "end of the replay")
             values = {pair.key: pair.value for pair in statuses[-1].values}
             ended = Replayed(statuses[-1].message, values["detail"], values["watch"])
-            if self._ask(Trigger, "retract", Trigger.Request(), process).success:
+            if self._ask(Trigger, f"{NODE}/retract", Trigger.Request(), process).success:
                 self._until(lambda: statuses[-1].message in ("retracted", "aborted"), process, "way back")
             return ended
         finally:
@@ -179,25 +213,30 @@ class Robot:
             process.wait(SERVICE_S)
             self._node.destroy_subscription(heard)
 
-    def _ask(self, kind: Any, name: str, request: Any, process: subprocess.Popen[bytes]) -> Any:
-        client = self._node.create_client(kind, f"{NODE}/{name}")
+    def _ask(self, kind: Any, name: str, request: Any, process: subprocess.Popen[bytes] | None = None) -> Any:
+        """Answer of a service; ``process``: of the replay node, where that is asked."""
+        client = self._node.create_client(kind, name)
         try:
-            self._until(client.service_is_ready, process, f"service {name} of the replay node", SERVICE_S)
+            self._until(client.service_is_ready, process, f"service {client.srv_name}", SERVICE_S)
             future = client.call_async(request)
-            self._until(future.done, process, f"answer of {name}", SERVICE_S)
+            self._until(future.done, process, f"answer of {client.srv_name}", SERVICE_S)
             return future.result()
         finally:
             self._node.destroy_client(client)
 
     def _until(
-        self, condition: Callable[[], bool], process: subprocess.Popen[bytes], what: str, most_s: float = REPLAY_S
+        self,
+        condition: Callable[[], bool],
+        process: subprocess.Popen[bytes] | None,
+        what: str,
+        most_s: float = REPLAY_S,
     ) -> None:
         import rclpy
 
         end = time.monotonic() + most_s
         while not condition():
             rclpy.spin_once(self._node, timeout_sec=0.1)
-            if process.poll() is not None:
+            if process is not None and process.poll() is not None:
                 raise WorkerError(f"The replay node ended with code {process.returncode}.", "See what it says above.")
             if time.monotonic() > end:
                 raise WorkerError(f"There is no {what} after {most_s:g} s.", "See what the nodes say above.")
@@ -211,18 +250,22 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=3, help="most rounds")
     parser.add_argument("--budget", type=int, default=50, help="rollouts of each optimisation")
     parser.add_argument("--namespace", default="", help="of the robot's topics")
-    parser.add_argument("--simulated-time", action="store_true", help="the robot publishes /clock")
+    parser.add_argument(
+        "--simulated", metavar="RIG", default="", help="the robot is a sim_node of this rig that publishes /clock"
+    )
     given = parser.parse_args(words)
 
     def tell(done: Round) -> None:
         found = f"; {done.verdict}: {', '.join(done.effects) or 'no effect'}" if done.verdict else ""
-        print(f"Round {done.number}: reward {done.reward:.4g}, {done.state}, {done.watch}{found}", flush=True)
+        there = "" if done.achieved is None else f", {done.achieved:.4g} on the robot"
+        print(f"Round {done.number}: reward {done.reward:.4g}{there}, {done.state}, {done.watch}{found}", flush=True)
 
     try:
         if given.out.exists():
             raise ConfigError(f"{given.out} exists already.", "Choose another folder, or move it away first.")
-        with Robot(given.namespace, given.simulated_time) as robot:
-            close_loop(given.task, given.out.absolute(), given.rounds, given.budget, robot.replay, on_round=tell)
+        with Robot(given.namespace, bool(given.simulated)) as robot:
+            out, replay = given.out.absolute(), robot.replay
+            close_loop(given.task, out, given.rounds, given.budget, replay, on_round=tell, simulated=given.simulated)
     except ThinshellError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -16,7 +16,22 @@ from typing import TYPE_CHECKING
 from sim_core.errors import ThinshellError
 from thinshell_ros.pacing import Pacer
 from thinshell_ros.physics import RETRY_S, Physics
-from thinshell_ros.protocol import Batch, Done, Pause, Ready, Request, Reset, Settings, Status, Step, Stop, Target
+from thinshell_ros.protocol import (
+    Batch,
+    Done,
+    Keep,
+    Pause,
+    Ready,
+    Request,
+    Reset,
+    Restore,
+    Settings,
+    Status,
+    Step,
+    Stop,
+    Target,
+    Velocity,
+)
 
 if TYPE_CHECKING:
     from sim_core.solve.step import StepReport
@@ -95,7 +110,7 @@ class Loop:
                 return
 
     def _take(self, request: Request) -> None:
-        if isinstance(request, Target):
+        if isinstance(request, Target | Velocity):
             self._physics.aim(request)
             if self._stuck and self._clock() >= self._retry_at:
                 self._stuck = ""
@@ -110,6 +125,11 @@ class Loop:
             self._link.send(Done(request.number, True, "paused" if request.paused else "running"))
         elif isinstance(request, Step):
             self._link.send(self._steps(request))
+        elif isinstance(request, Keep):
+            self._physics.keep()
+            self._link.send(Done(request.number, True, f"kept the state at {self._physics.time:.6g} s"))
+        elif isinstance(request, Restore):
+            self._link.send(self._restored(request))
         else:
             self._reset(request)
 
@@ -129,6 +149,14 @@ class Loop:
                 return Done(request.number, False, f"{done} of {count} steps were made. {self._trouble()}")
         made = f"{count} step{'s' if count > 1 else ''} of {dt:g} s, simulated time {self._physics.time:.6g} s"
         return Done(request.number, True, made)
+
+    def _restored(self, request: Restore) -> Done:
+        kept_s = self._physics.restore()
+        if kept_s is None:
+            return Done(request.number, False, "No state is kept: call ~/snapshot first.")
+        self._stuck = ""
+        self._go_on()
+        return Done(request.number, True, f"back in the state that was kept at {kept_s:.6g} s; time goes on")
 
     def _reset(self, request: Reset) -> None:
         try:

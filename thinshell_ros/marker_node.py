@@ -19,7 +19,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -29,7 +28,7 @@ from sysid.vision.detect import DetectionParameters
 from sysid.vision.live import LiveTracker
 from thinshell_ros import clouds, messages
 from thinshell_ros.parameters import declare, warn_of_unknown
-from thinshell_ros.qos import STREAM
+from thinshell_ros.qos import STREAM, overridable
 from thinshell_ros.runner import run
 from thinshell_ros.seeing import Seeing
 
@@ -56,12 +55,11 @@ class MarkerNode(Node):
         self._tracker = self._new()
         self._seeing = Seeing()
         self._heard_s = time.monotonic()
-        overridable = QoSOverridingOptions.with_default_policies()
-        self._tracks = self.create_publisher(PointCloud2, "marker_tracks", STREAM, qos_overriding_options=overridable)
+        self._tracks = self.create_publisher(PointCloud2, "marker_tracks", **overridable(STREAM))
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for kind, topic in ((Image, "image"), (CompressedImage, "image/compressed")):
             take = partial(self._on_picture, kind is CompressedImage)
-            self.create_subscription(kind, topic, take, NEWEST, qos_overriding_options=overridable)
+            self.create_subscription(kind, topic, callback=take, **overridable(NEWEST))
         self.create_service(Trigger, "~/zero", self._on_zero)
         self.create_timer(1.0, self._on_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info("Waiting for pictures of the sensor at rest.")

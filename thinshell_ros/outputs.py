@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
 
@@ -20,7 +19,7 @@ from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
 from thinshell_ros.pictures import Pictures
 from thinshell_ros.poses import Floats, Pose
-from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM
+from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM, overridable
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import EVENT_TOPIC, Channel, rest_topic
 from thinshell_ros.tare import Tare
@@ -71,8 +70,7 @@ class Outputs:
         self._cameras = {n: c for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)}
 
         def stream(kind: Any, topic: str) -> Publisher:
-            overridable = QoSOverridingOptions.with_default_policies()
-            return node.create_publisher(kind, topic, STREAM, qos_overriding_options=overridable)
+            return node.create_publisher(kind, topic, **overridable(STREAM))
 
         self._streams = {name: stream(_TYPES[c.kind], c.topic) for name, c in channels.items()}
         self._infos = {n: stream(CameraInfo, c.topics.camera_info) for n, c in self._cameras.items()}
@@ -85,6 +83,13 @@ class Outputs:
         }
         self._events = node.create_publisher(DiagnosticArray, EVENT_TOPIC, EVENTS)
         self._clock = node.create_publisher(Clock, "/clock", LATEST) if give_clock else None
+
+    def use(self, rig: Rig, channels: Mapping[str, Channel]) -> None:
+        """Publish for another rig, of the same channels, from now on."""
+        self.flush()
+        self._hardware, self._channels = rig.name, channels
+        self._step_s = rig.solver.dt_s
+        self._cameras = {n: c for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)}
 
     def begin(self, answer: protocol.Ready) -> None:
         """Simulated time 0 is now; stamps go on even after another simulation."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConvergenceError
-from thinshell_ros.poses import Floats, Pose, separation, towards
-from thinshell_ros.protocol import Settings, Target
+from thinshell_ros.poses import Floats, Pose, moved, separation, towards
+from thinshell_ros.protocol import Command, Settings, Velocity
 from thinshell_ros.sampling import Reading, Sampler
 from thinshell_ros.streams import Channel
 
@@ -77,6 +77,7 @@ class Physics:
         self._sampler = Sampler(channels, settings.seed, amend, self.dt)
         self.ids = dict(self._simulation.observer.ids)
         self._steps = 0
+        self._kept: tuple[float, Any, Any, dict[str, Pose]] | None = None
         self.rest = self._begin()
 
     @property
@@ -89,6 +90,7 @@ class Physics:
         self._poses = {name: _pose(start[name]) for name in self._settings.rig.end_effectors}
         self._targets = dict(self._poses)
         self._commands.begin({n: (p.position, p.rotation()) for n, p in self._poses.items()})
+        self._velocities: dict[str, tuple[Velocity, float]] = {}  # until a simulated time
         self.failure: Failure | None = None
         self.behind = (0.0, 0.0)
         readings = self._read()
@@ -101,9 +103,40 @@ class Physics:
             readings |= self._simulation.contact_wrenches()
         return readings
 
-    def aim(self, target: Target) -> None:
-        """Move towards a pose in the steps to come."""
-        self._targets[target.end_effector] = target.pose
+    def aim(self, command: Command) -> None:
+        """Move towards a pose, or with a velocity, in the steps to come."""
+        name = command.end_effector
+        if isinstance(command, Velocity):
+            self._velocities[name] = command, self.time + command.lasts_s
+        else:
+            self._velocities.pop(name, None)
+            self._targets[name] = command.pose
+
+    def _follow_velocities(self) -> None:
+        """Targets of end effectors that move with a velocity: where they are to be after a step, or where they are."""
+        for name, (velocity, until) in list(self._velocities.items()):
+            lasts = self.time < until - 1e-9
+            self._targets[name] = self._poses[name]
+            if lasts:
+                self._targets[name] = moved(self._poses[name], velocity.linear, velocity.angular, self.dt)
+            else:
+                del self._velocities[name]
+
+    def keep(self) -> None:
+        """Keep the state, in place of that which was kept before."""
+        self._kept = self.time, self._simulation.snapshot(), self._commands.kept(), dict(self._poses)
+
+    def restore(self) -> float | None:
+        """Back to the state that was kept; time goes on. Returns when it was kept [s], None if none was."""
+        if self._kept is None:
+            return None
+        at, state, commands, poses = self._kept
+        self._simulation.restore(state)
+        self._commands.restore(commands)
+        self._poses, self._targets = dict(poses), dict(poses)
+        self._velocities, self.failure, self.behind = {}, None, (0.0, 0.0)
+        self._sampler.restart(self.time, self._read())
+        return at
 
     def reset(self) -> None:
         """Back to rest at the start poses; time goes on.
@@ -123,6 +156,7 @@ class Physics:
         Raises:
             ConvergenceError: no step converged, not even with the end effectors held; the state is that before.
         """
+        self._follow_velocities()
         if self.failure is None or self.failure.over(self._targets, self._clock()):
             report = self._try()
         else:

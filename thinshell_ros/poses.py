@@ -87,6 +87,21 @@ class PoseGate:
         return f"{turn:.4g} rad away from the {whence}, at most {self.max_jump_rad:g} rad (max_jump_rad)"
 
 
+def velocity_fault(
+    frames: tuple[str, str], linear: Sequence[float], angular: Sequence[float], most: tuple[float, float]
+) -> str:
+    """Why a commanded velocity [m/s] and angular velocity [rad/s] are rejected, '' if they are not. ``frames``: the one
+    given and the one expected; ``most``: largest speed and turn rate."""
+    if frames[0] != frames[1]:
+        return f"frame_id is {frames[0]!r}, expected {frames[1]!r}"
+    if not all(map(math.isfinite, (*linear, *angular))):
+        return f"not finite: linear {list(linear)}, angular {list(angular)}"
+    speed, turn = math.hypot(*linear), math.hypot(*angular)
+    if speed > most[0]:
+        return f"{speed:.4g} m/s, at most {most[0]:g} m/s (max_speed_m_s)"
+    return f"{turn:.4g} rad/s, at most {most[1]:g} rad/s (max_turn_rate_rad_s)" if turn > most[1] else ""
+
+
 def separation(start: Pose, end: Pose) -> tuple[float, float]:
     """Distance [m] and angle [rad] between two poses."""
     turn = float((start.rotation().inv() * end.rotation()).magnitude())
@@ -107,3 +122,9 @@ def towards(now: Pose, target: Pose, max_move_m: float, max_turn_rad: float) -> 
     if float(quaternion @ now.quaternion) < 0.0:
         quaternion = -quaternion
     return Pose(position, quaternion)
+
+
+def moved(now: Pose, linear: Floats, angular: Floats, seconds: float) -> Pose:
+    """The pose after a time [s] with a velocity [m/s] and an angular one [rad/s], each ``(3,)``, in the base frame."""
+    turned = Rotation.from_rotvec(angular * seconds) * now.rotation()
+    return Pose(now.position + linear * seconds, np.asarray(turned.as_quat(), dtype=np.float64))

@@ -36,8 +36,33 @@ class Target:
 
 
 @dataclass(frozen=True)
+class Velocity:
+    """Request: move an end effector with a velocity [m/s] ``(3,)`` and an angular velocity [rad/s] ``(3,)`` in the base
+    frame for ``lasts_s`` [s] of simulated time, then hold."""
+
+    end_effector: str
+    linear: Floats
+    angular: Floats
+    lasts_s: float
+
+
+@dataclass(frozen=True)
 class Reset:
     """Request, answered by ``Done``: back to the start."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Request, answered by ``Done``: keep the state in place of that which was kept before."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Restore:
+    """Request, answered by ``Done``: back to the state that was kept."""
 
     number: int
 
@@ -64,7 +89,8 @@ class Stop:
     """Request: end the process."""
 
 
-Request = Target | Reset | Pause | Step | Stop
+Command = Target | Velocity
+Request = Command | Reset | Keep | Restore | Pause | Step | Stop
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
             raise
         # else a callback was publishing when a signal shut the context down
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # launch sends a second one
+        for number in (signal.SIGINT, signal.SIGTERM):  # launch sends a second one
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         try_shutdown()

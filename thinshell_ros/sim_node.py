@@ -7,31 +7,32 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from sim_core.rigs import load_rig
+from sim_core.errors import ConfigError, ThinshellError
+from sim_core.rigs import Rig, load_rig
 from thinshell_ros import graph, messages, protocol
 from thinshell_ros.health import Announcer, CommandLog, Level, physics_report, topics_report
 from thinshell_ros.outputs import Outputs
 from thinshell_ros.parameters import value_of, warn_of_unknown
-from thinshell_ros.poses import Floats, Pose, PoseGate, unstamped
-from thinshell_ros.qos import LATEST
+from thinshell_ros.poses import Floats, Pose, PoseGate, unstamped, velocity_fault
+from thinshell_ros.qos import LATEST, overridable
 from thinshell_ros.runner import run
 from thinshell_ros.sim_parameters import SimParameters
-from thinshell_ros.streams import channels_of
+from thinshell_ros.streams import Channel, channels_of, twist_topic
 from thinshell_ros.supervisor import Supervisor
 
 PERIOD_S = 0.005
@@ -42,7 +43,7 @@ LOG_S = 5.0
 
 
 class SimNode(Node):
-    """Takes commanded poses, publishes what the rig's sensors and cameras read."""
+    """Takes commanded poses and velocities, publishes what the rig's sensors and cameras read."""
 
     def __init__(self) -> None:
         super().__init__("thinshell_sim")
@@ -51,6 +52,7 @@ class SimNode(Node):
         self._factor, self._gives_clock = given.real_time_factor, given.publish_clock
         self._rig = load_rig(given.rig)
         channels = channels_of(self._rig, given.pose_rate_hz, given.base_frame, given.contact_forces)
+        self._channels = channels
         effectors = self._rig.end_effectors
         self._gates = {n: PoseGate(channels[n].frame_id, given.max_jump_m, given.max_jump_rad) for n in effectors}
         self._poses: dict[str, Pose] = {}
@@ -62,19 +64,26 @@ class SimNode(Node):
         self._published = [c.topic for c in channels.values()]
         self._commanded = [effector.topics.target_pose for effector in effectors.values()]
         for name, topic in zip(effectors, self._commanded, strict=True):
-            overridable = QoSOverridingOptions.with_default_policies()
             take = partial(self._on_target, name)
-            self.create_subscription(PoseStamped, topic, take, LATEST, qos_overriding_options=overridable)
+            self.create_subscription(PoseStamped, topic, callback=take, **overridable(LATEST))
+            turn = partial(self._on_twist, name)
+            twists = twist_topic(topic)
+            self.create_subscription(TwistStamped, twists, callback=turn, **overridable(LATEST))
         apart = ReentrantCallbackGroup()  # a service that waits for its answer must not hold up the timers
         self.create_service(Trigger, "~/reset", self._on_reset, callback_group=apart)
+        self.create_service(Trigger, "~/snapshot", self._on_snapshot, callback_group=apart)
+        self.create_service(Trigger, "~/restore", self._on_restore, callback_group=apart)
         self.create_service(Trigger, "~/zero", self._on_zero, callback_group=apart)
         self.create_service(Trigger, "~/step", self._on_step, callback_group=apart)
         self.create_service(SetBool, "~/pause", self._on_pause, callback_group=apart)
         arrived = self.create_guard_condition(self._on_poll)
         seed = given.seed if given.noise else None
-        limits = given.max_speed_m_s, given.max_turn_rate_rad_s
-        settings = protocol.Settings(self._rig, channels, seed, *limits, self._factor, not given.publish_clock)
-        self._physics = Supervisor(settings, given.watchdog_s, arrived.trigger)
+        self._fastest = given.max_speed_m_s, given.max_turn_rate_rad_s
+        self._given = given
+        self._settings = protocol.Settings(
+            self._rig, channels, seed, *self._fastest, self._factor, not given.publish_clock
+        )
+        self._physics = Supervisor(self._settings, given.watchdog_s, arrived.trigger)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(PERIOD_S, self._on_poll, clock=wall)
         self.create_timer(1.0, self._on_diagnostics, clock=wall)
@@ -95,6 +104,22 @@ class SimNode(Node):
             self._targets[name] = pose
             self._log.accept(name, time.monotonic())
             self._physics.aim(protocol.Target(name, pose))
+
+    def _on_twist(self, name: str, message: TwistStamped) -> None:
+        if not self._physics.ready:
+            self._reject("the scene is still being built")
+            return
+        v, w, stamp = message.twist.linear, message.twist.angular, message.header.stamp
+        linear, angular = (v.x, v.y, v.z), (w.x, w.y, w.z)
+        frames = message.header.frame_id, self._gates[name].base_frame
+        fault = unstamped(stamp.sec + 1e-9 * stamp.nanosec) or velocity_fault(frames, linear, angular, self._fastest)
+        if fault:
+            self._reject(f"{name}: {fault}")
+            return
+        self._targets.pop(name, None)
+        self._log.accept(name, time.monotonic())
+        lasts = self._given.command_timeout_s
+        self._physics.aim(protocol.Velocity(name, np.array(linear), np.array(angular), lasts))
 
     def _reject(self, reason: str) -> None:
         self._log.reject(reason)
@@ -151,9 +176,65 @@ class SimNode(Node):
 
     async def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request
+        try:
+            other = self._other_rig()
+        except ThinshellError as error:
+            response.success, response.message = False, str(error)
+            return response
+        if other is not None:
+            self._take_rig(*other)
+            response.success, response.message = True, f"The scene of {self._rig.name} is being built."
+            return response
         done = await self._answer(self._physics.reset)
         if not done.success and self._physics.fault():
             done = await self._answer(self._physics.reset)  # it hangs, and is started again
+        response.success, response.message = done.success, done.message
+        return response
+
+    def _other_rig(self) -> tuple[Rig, dict[str, Channel]] | None:
+        """The rig that the parameter names now, where that is another than the one that is simulated.
+
+        Raises:
+            ThinshellError: it cannot be read, or has other topics.
+        """
+        rig = load_rig(value_of(self, "rig"))
+        if rig == self._rig:
+            return None
+        given = self._given
+        channels = channels_of(rig, given.pose_rate_hz, given.base_frame, given.contact_forces)
+
+        def seen(of: Rig, by: Mapping[str, Channel]) -> object:
+            commanded = {name: effector.topics.target_pose for name, effector in of.end_effectors.items()}
+            return commanded, {name: (c.kind, c.topic, c.frame_id) for name, c in by.items()}
+
+        if seen(rig, channels) != seen(self._rig, self._channels):
+            raise ConfigError(
+                f"The rig {rig.name!r} has other end effectors, sensors, cameras, topics or frames than the one that "
+                "is simulated.",
+                "Start another node for it, or set rig back.",
+            )
+        return rig, channels
+
+    def _take_rig(self, rig: Rig, channels: dict[str, Channel]) -> None:
+        """Simulate another rig from now on."""
+        self._rig, self._channels = rig, channels
+        self._settings = replace(self._settings, rig=rig, channels=channels)
+        self._outputs.use(rig, channels)
+        self._physics.restart(self._settings)
+
+    async def _on_snapshot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        done = await self._answer(self._physics.keep)
+        response.success, response.message = done.success, done.message
+        return response
+
+    async def _on_restore(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        done = await self._answer(self._physics.restore)
+        if done.success:
+            self._targets.clear()
+            self._outputs.flush()
+            self._outputs.tell("restore", f"The simulation is {done.message}.")
         response.success, response.message = done.success, done.message
         return response
 

@@ -32,12 +32,18 @@ class SimParameters:
 
     @classmethod
     def declare(cls, node: Node) -> SimParameters:
-        """Declare all of them, and ``step_duration_s``, which may be set while the node runs.
+        """Declare all of them, and ``step_duration_s``, which may be set while the node runs, as the rig may.
 
         Raises:
             ConfigError: a value does not fit.
         """
-        rig = declare(node, "rig", "", "rig to simulate: a name or a YAML file")
+        rig = declare(
+            node,
+            "rig",
+            "",
+            "rig to simulate: a name or a YAML file; one that is set later counts from ~/reset",
+            fixed=False,
+        )
         base = declare(node, "base_frame", "", "frame of all poses; empty: the rig's")
         rate = declare(node, "pose_rate_hz", 100.0, "rate of current_pose", bounds=(1.0, 250.0))
         noise = declare(node, "noise", True, "add the noise that the rig states")

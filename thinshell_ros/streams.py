@@ -84,6 +84,12 @@ def channels_of(
     return channels
 
 
+def twist_topic(target_pose: str) -> str:
+    """Topic of the commanded velocities of an end effector, beside that of its commanded poses."""
+    place, slash, name = target_pose.rpartition("/")
+    return f"{place}{slash}{'target_twist' if name == 'target_pose' else f'{name}_twist'}"
+
+
 def rest_topic(channel: Channel) -> str:
     """Topic of the rest state of a marker channel."""
     return f"{channel.topic}_rest"

@@ -79,8 +79,8 @@ class Supervisor:
         for one in waiting.values():
             one.set_result(protocol.Done(0, False, message))
 
-    def aim(self, target: protocol.Target) -> None:
-        """Move an end effector towards a pose."""
+    def aim(self, target: protocol.Command) -> None:
+        """Move an end effector towards a pose, or with a velocity."""
         self._worker.aim(target)
 
     def reset(self, waiting: Waiting) -> None:
@@ -90,6 +90,14 @@ class Supervisor:
             waiting.set_result(protocol.Done(0, True, f"{fault} It is being started again."))
         else:
             self._ask(self._worker.reset, waiting)
+
+    def keep(self, waiting: Waiting) -> None:
+        """Keep the state."""
+        self._ask(self._worker.keep, waiting)
+
+    def restore(self, waiting: Waiting) -> None:
+        """Go back to the state that was kept."""
+        self._ask(self._worker.restore, waiting)
 
     def pause(self, paused: bool, waiting: Waiting) -> None:
         """Stop or go on."""
@@ -107,12 +115,12 @@ class Supervisor:
         else:
             self._waiting[ask()] = waiting
 
-    def restart(self) -> None:
-        """Kill the process and start another."""
+    def restart(self, settings: protocol.Settings | None = None) -> None:
+        """Kill the process and start another, from now on with these settings if given."""
         self._worker.stop(0.0)
         self._give_up("The physics process was started again.")
         self.ready, self.status, self._since = False, None, None
-        self._worker.start()
+        self._worker.start(settings)
 
     def stop(self) -> None:
         """End the process, at once if it hangs or is still building its scene."""

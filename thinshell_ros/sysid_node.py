@@ -28,7 +28,7 @@ from thinshell_ros.fit_process import Event, FitProcess, Warned
 from thinshell_ros.fit_request import Request, diagnosis_request, fit_request, numbers_of, topic_names
 from thinshell_ros.fit_state import FitState
 from thinshell_ros.parameters import declare, value_of, warn_of_unknown
-from thinshell_ros.qos import LATCHED
+from thinshell_ros.qos import LATCHED, overridable
 from thinshell_ros.runner import run
 
 VALUES = (
@@ -79,8 +79,8 @@ class SysidNode(Node):
         self._request: Request | None = None
         self._elapsed_s = self._told_s = 0.0
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
-        self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", LATCHED)
-        self._result = self.create_publisher(String, "~/result", LATCHED)
+        self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", **overridable(LATCHED))
+        self._result = self.create_publisher(String, "~/result", **overridable(LATCHED))
         self.create_service(Trigger, "~/start", lambda request, response: self._on_start("fit", response))
         self.create_service(Trigger, "~/diagnose", lambda request, response: self._on_start("diagnosis", response))
         self.create_service(Trigger, "~/cancel", self._on_cancel)

@@ -29,11 +29,13 @@ class Worker:
         self._number = 0
         self._link: Connection | None = None
         self._thread: threading.Thread | None = None
-        self._targets: dict[str, protocol.Target] = {}
+        self._targets: dict[str, protocol.Command] = {}
         self.start()
 
-    def start(self) -> None:
-        """Start the process; building the scene takes it some seconds, then it says ``Ready``."""
+    def start(self, settings: protocol.Settings | None = None) -> None:
+        """Start the process, from now on with these settings if given. Building the scene takes it some seconds, then
+        it says ``Ready``."""
+        self._settings = settings or self._settings
         context = multiprocessing.get_context("spawn")
         self._link, far = context.Pipe()
         self._process = context.Process(
@@ -78,8 +80,8 @@ class Worker:
             yield self._inbox.get()
         self._pass_on()
 
-    def aim(self, target: protocol.Target) -> None:
-        """Send a target now, or the latest one as soon as the process listens again.
+    def aim(self, target: protocol.Command) -> None:
+        """Send a command now, or the latest one as soon as the process listens again.
 
         One message for each that comes back: a slow process is never swamped, so sending never blocks.
         """
@@ -101,6 +103,19 @@ class Worker:
         self._number += 1
         self._targets.clear()
         self._send(protocol.Reset(self._number))
+        return self._number
+
+    def keep(self) -> int:
+        """Ask to keep the state; returns the number of the answer."""
+        self._number += 1
+        self._send(protocol.Keep(self._number))
+        return self._number
+
+    def restore(self) -> int:
+        """Ask to go back to the state that was kept; returns the number of the answer."""
+        self._number += 1
+        self._targets.clear()
+        self._send(protocol.Restore(self._number))
         return self._number
 
     def pause(self, paused: bool) -> int:

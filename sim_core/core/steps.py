@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class CoreSteps(CoreRollout):
     def advance(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
         """A step of ``dt`` [s] in which mounts go to ``frames``, as commanded, and the others stay. Where it fails the
         state is that before."""
-        before = KeptState(self), self.mounts, self.places, self.times, self._state, self._seen
+        before = self.kept()
         self.mounts = {**self.mounts, **with_offsets(self.scene.rig, frames)}
         self.places = np.stack([self.places[-1], mount_row(self.mounts)])
         self.times = np.array([self.t, self.t + dt])
@@ -66,11 +67,19 @@ class CoreSteps(CoreRollout):
             for chunk in self.run():
                 self._take(chunk)
         except Exception:
-            kept, self.mounts, self.places, self.times, self._state, self._seen = before
-            kept.put_back()
+            self.go_back(before)
             raise
         self._state = None
         return self.reports[-1]
+
+    def kept(self) -> tuple[Any, ...]:
+        """The present, to go back to by :meth:`go_back`, as often as wanted."""
+        return KeptState(self), self.mounts, self.places, self.times, self._state, self._seen, self.now
+
+    def go_back(self, before: tuple[Any, ...]) -> None:
+        """Be where this was kept: what follows is the same bit for bit."""
+        kept, self.mounts, self.places, self.times, self._state, self._seen, self.now = before
+        kept.put_back()
 
     def read(self) -> dict[str, np.ndarray]:
         """Readings of all channels now."""

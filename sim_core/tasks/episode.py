@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from sim_core.commands import CommandChain
 from sim_core.rigs.limits import HandLimits
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.scene import Frame
@@ -78,19 +79,21 @@ class Episode:
 
     def __init__(self, simulation: Simulation, times: np.ndarray) -> None:
         self.simulation, self._times = simulation, times
+        self._commands = CommandChain(simulation.scene.rig)
         self.at = 0
         self.readings: list[dict[str, np.ndarray]] = []
 
     def begin(self, poses: Mapping[str, PoseTrajectory], watch: Watch) -> None:
         """Back to the start, where the poses begin."""
         self.watch = watch
-        self.simulation.reset(frames_at(poses, 0))
+        self.simulation.reset(self._commands.begin(frames_at(poses, 0)))
         self.at, self.readings = 0, [self.simulation.read()]
 
     def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> None:
         """On to the time number ``to``, along poses at all times. Raises ``ConvergenceError``, :class:`EarlyStop`."""
         for k in range(self.at + 1, to + 1):
-            self.simulation.step(frames_at(poses, k), float(self._times[k] - self._times[k - 1]))
+            dt = float(self._times[k] - self._times[k - 1])
+            self.simulation.step(self._commands.advance(frames_at(poses, k), dt), dt)
             self.at = k
             self.readings.append(self.simulation.read())
             self.watch(k, self.readings[-1], self.simulation.halvings)

@@ -19,7 +19,7 @@ DEFAULT_VARIANT = "real"
 @dataclass(frozen=True)
 class MadeTask:
     """A task with the numbers of one variant. ``rig``: with its parameters and starts; ``coarse_rig``: with the cells
-    of searches."""
+    of searches; ``target_rig``: on which the target is made, None where that is the rig."""
 
     task: Task
     variant_name: str
@@ -27,6 +27,7 @@ class MadeTask:
     rig: Rig
     coarse_rig: Rig
     settings: Mapping[str, Any] = field(default_factory=dict)
+    target_rig: Rig | None = None
 
     @property
     def name(self) -> str:
@@ -60,9 +61,12 @@ def task_names() -> list[str]:
 
 
 def read_task(name_or_path: str | Path) -> Task:
-    """A task file, by the name of one that comes with the package or by its path."""
+    """A task file, by the name of one that comes with the package or by its path. Rigs that it names are sought beside
+    it first."""
     path = find_config(name_or_path, "tasks")
-    return validate(Task, read_mapping(path), str(path))
+    task = validate(Task, read_mapping(path), str(path))
+    beside = {key: path.parent / name for key in ("rig", "target_rig") if (name := getattr(task, key))}
+    return task.model_copy(update={key: str(file) for key, file in beside.items() if file.is_file()})
 
 
 def load_task(name: str, parameters: Mapping[str, float] | None = None) -> MadeTask:
@@ -75,15 +79,21 @@ def load_task(name: str, parameters: Mapping[str, float] | None = None) -> MadeT
     chosen = wanted or (DEFAULT_VARIANT if DEFAULT_VARIANT in task.variants else next(iter(task.variants)))
     if chosen not in task.variants:
         raise ConfigError(f"The task {task.name!r} has no variant {chosen!r}.", nearest_match(chosen, task.variants))
-    variant, source = task.variants[chosen], f"task {task.name}"
-    rig = load_rig(task.rig)
+    variant = task.variants[chosen]
+    rig = _variant_rig(task, chosen, task.rig, parameters or {})
+    target = _variant_rig(task, chosen, task.target_rig, {}) if task.target_rig else None
+    return MadeTask(task, chosen, variant, rig, _with_cells(rig, task.coarse), dict(variant.settings), target)
+
+
+def _variant_rig(task: Task, chosen: str, name: str, parameters: Mapping[str, float]) -> Rig:
+    """A rig with the numbers of a variant, and parameters over those."""
+    variant, source, rig = task.variants[chosen], f"task {task.name}", load_rig(name)
     check_names(task, variant, rig, source)
     try:
-        rig = with_parameters(rig, {**variant.parameters, **(parameters or {})})
+        rig = with_parameters(rig, {**variant.parameters, **parameters})
     except ConfigError as error:
         raise ConfigError(f"{source}, variant {chosen}: {error.problem}", error.remedy) from None
-    rig = _started(rig, variant)
-    return MadeTask(task, chosen, variant, rig, _with_cells(rig, task.coarse), dict(variant.settings))
+    return _started(rig, variant)
 
 
 def _started(rig: Rig, variant: Variant) -> Rig:

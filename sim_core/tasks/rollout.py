@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -122,6 +122,8 @@ class TaskRollouts:
         settings = self.made.settings
         if "target_seed" not in settings:
             return {}
+        if self.made.target_rig is not None:
+            return TaskRollouts(replace(self.made, rig=self.made.target_rig, target_rig=None))._target
         rng = np.random.default_rng(int(settings["target_seed"]))
         given = np.atleast_1d(np.asarray(settings["target_scale"], dtype=float))
         scale = (np.full(7, given[0]) if len(given) == 1 else np.append(given, np.zeros(7))[:7])[self.space.components]

@@ -173,6 +173,7 @@ class Task(Strict):
     name: Name = Field(description="short name, as in the file's name")
     title: Text = Field(description="what is to be done, in a sentence")
     rig: Text = Field(description="name of a rig, or the path of its file")
+    target_rig: Text = Field(default="", description="rig on which a drawn motion makes the target, if not 'rig'")
     reward: Name = Field(description="module in sim_core.tasks.rewards")
     step_s: Positive = Field(description="time of one step in s")
     approach: dict[Name, tuple[Motion, ...]] = Field(default={})

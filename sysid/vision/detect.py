@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -22,6 +23,8 @@ class DetectionParameters:
     """``bright`` dots, ``dark`` dots, or ``auto``."""
     diameter_px: float | None = None
     """Typical marker diameter [px]; None estimates it from each image."""
+    typical_area_px2: float | None = None
+    """Area of the typical marker as it is segmented [px^2]; None: of its diameter, or estimated from each image."""
     min_area_ratio: float = 0.25
     """Smallest area kept, as a part of the typical area."""
     max_area_ratio: float = 1.65
@@ -102,7 +105,7 @@ def detect_markers(image: NDArray[np.generic], parameters: DetectionParameters |
         return _nothing(size, f"the strongest dots are {found.contrast:.1f} times the noise of the ground")
     count, labels, stats, _ = cv2.connectedComponentsWithStats(found.mask, connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
-    typical = _typical_area(areas, parameters.diameter_px)
+    typical = parameters.typical_area_px2 or _typical_area(areas, parameters.diameter_px)
     if typical <= 0.0:
         return _nothing(size, "there is nothing larger than a speck")
     blobs: list[_Blob] = []
@@ -235,9 +238,10 @@ def _measure(
     weight = np.where(inside, found.weight[top : top + height, left : left + width], np.float32(0.0))
     shape = cv2.moments(inside.astype(np.uint8), binaryImage=True)
     area = shape["m00"]
-    spread = np.array([[shape["mu20"], shape["mu11"]], [shape["mu11"], shape["mu02"]]]) / area
-    minor, major = np.linalg.eigvalsh(spread + np.eye(2) / 12.0)
-    elongation = float(np.sqrt(major / minor))
+    # Principal moments, those of the pixels themselves included.
+    mean = (shape["mu20"] + shape["mu02"]) / (2.0 * area) + 1.0 / 12.0
+    apart = math.hypot((shape["mu20"] - shape["mu02"]) / 2.0, shape["mu11"]) / area
+    elongation = math.sqrt((mean + apart) / (mean - apart))
     rows, columns = np.nonzero(inside)
     hull = cv2.convexHull(np.stack([columns, rows], axis=1).astype(np.int32))
     solidity = min(1.0, area / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
@@ -245,8 +249,8 @@ def _measure(
         return None
     centre = cv2.moments(weight)
     uv = (centre["m10"] / centre["m00"] + left, centre["m01"] / centre["m00"] + top)
-    log_ratio = np.log(area / typical)
-    quality = float(np.exp(-((log_ratio / 0.9) ** 2)) * min(1.0, 1.6 / elongation) * min(1.0, solidity / 0.87))
+    log_ratio = math.log(area / typical)
+    quality = float(math.exp(-((log_ratio / 0.9) ** 2)) * min(1.0, 1.6 / elongation) * min(1.0, solidity / 0.87))
     image_height, image_width = found.mask.shape
     at_border = left == 0 or top == 0 or left + width == image_width or top + height == image_height
     if merged:

@@ -56,7 +56,7 @@ class LiveTracker:
         """The markers of the next picture, grey ``(height, width)`` or RGB ``(height, width, 3)``."""
         found = detect_markers(image, self._detection)
         if self.reference is None:
-            return self._at_rest(found)
+            return self._at_rest(found, image)
         match = self._matched(self.reference, found)
         uv, confidence, _, failed = markers_of(match, found, self.reference.pitch_px, self._tracking)
         self._last = None if failed else match
@@ -76,7 +76,7 @@ class LiveTracker:
                 return match
         return match_layout(*given, starts={"at rest": reference.uv}, **common)
 
-    def _at_rest(self, found: Detections) -> LiveFrame:
+    def _at_rest(self, found: Detections, image: NDArray[np.generic]) -> LiveFrame:
         """One of the pictures that the layout is taken from."""
         nothing = np.zeros((0, 2)), np.zeros(0)
         if len(found) < 4:
@@ -94,6 +94,10 @@ class LiveTracker:
         if self._detection.diameter_px is None:
             typical = float(np.median([one.diameter_px for one in rest]))
             self._detection = replace(self._detection, diameter_px=min(max(typical, 2.0), 200.0))
+            # With the scale known the same dots are segmented wider or narrower: their area is that from now on.
+            known = detect_markers(image, self._detection)
+            if len(known):
+                self._detection = replace(self._detection, typical_area_px2=float(np.median(known.area_px2)))
         self.reference, self._last = tracks.reference, None if tracks.failed[-1] else tracks.matches[-1]
         return LiveFrame(tracks.uv[-1], tracks.confidence[-1])
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thinshell_ros.pacing import MOST_LAG_S, SLACK_S, Pacer
-from thinshell_ros.poses import Pose, PoseGate, towards, unstamped
+from thinshell_ros.poses import Pose, PoseGate, towards, unstamped, velocity_fault
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 HERE = Pose(np.array([0.1, 0.0, 0.2]), np.array(UPRIGHT))
@@ -79,6 +79,23 @@ def test_commands_may_run_ahead_of_an_end_effector_but_not_jump() -> None:
     rejection = GATE.check("base_link", (0.93, 0.0, 0.2), UPRIGHT, HERE, last)
     assert rejection == "0.03 m away from the last target, at most 0.02 m (max_jump_m)"
     assert isinstance(GATE.check("base_link", (0.11, 0.0, 0.2), UPRIGHT, HERE, last), Pose), "back to where it is"
+
+
+@pytest.mark.parametrize(
+    ("frame", "linear", "angular", "reason"),
+    [
+        ("base_link", (0.0, 0.3, 0.4), (1.0, 2.0, 2.0), ""),
+        ("world", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "frame_id is 'world', expected 'base_link'"),
+        ("base_link", (0.0, math.nan, 0.0), (0.0, 0.0, 0.0), "not finite"),
+        ("base_link", (0.0, 0.3, 0.41), (0.0, 0.0, 0.0), "at most 0.5 m/s"),
+        ("base_link", (0.0, 0.0, 0.0), (1.1, 2.0, 2.0), "at most 3 rad/s"),
+    ],
+)
+def test_what_cannot_be_a_velocity_is_rejected_with_its_reason(
+    frame: str, linear: tuple[float, ...], angular: tuple[float, ...], reason: str
+) -> None:
+    fault = velocity_fault((frame, "base_link"), linear, angular, (0.5, 3.0))
+    assert reason in fault and bool(fault) == bool(reason)
 
 
 def test_a_stamp_of_1970_is_none() -> None:

@@ -53,6 +53,10 @@ def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(path: Pa
     tree = ast.parse(path.read_text())
     nodes = calls(tree, "Node")
     assert nodes
+    defaults = {
+        ast.literal_eval(call.args[0]): {n.value for n in ast.walk(call) if isinstance(n, ast.Constant)}
+        for call in calls(tree, "DeclareLaunchArgument")
+    }
     for call in nodes:
         values: dict[str, Any] = {k.arg: k.value for k in call.keywords if k.arg}
         assert ast.literal_eval(values["package"]) == "thinshell_ros"
@@ -63,9 +67,9 @@ def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(path: Pa
             if isinstance(item, ast.Dict):
                 assert {ast.literal_eval(k) for k in item.keys if k} <= declared(executable)
             else:
-                (name,) = (n.value for n in ast.walk(item) if isinstance(n, ast.Constant))
-                assert name == f"{executable}.yaml"
-                assert (ROOT / "config" / "nodes" / name).is_file()
+                (argument,) = (n.value for n in ast.walk(item) if isinstance(n, ast.Constant))
+                assert f"{executable}.yaml" in defaults[argument], "a site may give a file of its own in its place"
+                assert (ROOT / "config" / "nodes" / f"{executable}.yaml").is_file()
     arguments = {ast.literal_eval(call.args[0]) for call in calls(tree, "DeclareLaunchArgument")}
     used = {ast.literal_eval(call.args[0]) for call in calls(tree, "LaunchConfiguration")}
     assert arguments == used
@@ -77,6 +81,11 @@ def test_launch_files_load(path: Path) -> None:
     import runpy
 
     assert runpy.run_path(str(path))["generate_launch_description"]().entities
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_each_node_has_a_twin_that_python_runs(node: str) -> None:
+    assert 'if __name__ == "__main__":\n    sys.exit(main())\n' in source(node)
 
 
 @pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda p: p.name)

@@ -119,3 +119,28 @@ def test_rate_latency_and_missed_pictures_are_figures(rate_hz: float) -> None:
     seeing.take(200.0, 200.0, 200.01, 0, 63, "in doubt")
     report = seeing.report(0.01)
     assert report.level == "warn" and report.values["given_up"] == "1"
+
+
+@pytest.mark.ros
+def test_a_site_may_change_the_quality_of_service_of_one_topic_and_of_no_other(ros: None, tmp_path: Path) -> None:
+    from rclpy.qos import ReliabilityPolicy
+
+    place, best = "/qualities", ReliabilityPolicy.BEST_EFFORT
+    given = {
+        f"qos_overrides.{place}/marker_tracks.publisher.reliability": "best_effort",
+        f"qos_overrides.{place}/image.subscription.reliability": "reliable",
+        f"qos_overrides.{place}/image.subscription.depth": 7,
+    }
+    node, client = NodeProcess("marker_node", tmp_path / "output", place, **given), Client("asker", place)
+    try:
+        offers = client.node.get_publishers_info_by_topic
+        client.wait(lambda: offers(f"{place}/marker_tracks"), f"no tracks: {node.output}", START_S)
+        assert [o.qos_profile.reliability for o in offers(f"{place}/marker_tracks")] == [best]
+        asks, heard = client.node.get_subscriptions_info_by_topic, [f"{place}/image", f"{place}/image/compressed"]
+        client.wait(lambda: all(asks(topic) for topic in heard), f"it does not listen: {node.output}", START_S)
+        found = {t: [a.qos_profile.reliability for a in asks(f"{place}/{t}")] for t in ("image", "image/compressed")}
+        assert found == {"image": [ReliabilityPolicy.RELIABLE], "image/compressed": [best]}
+        assert node.stop() == 0, node.output
+    finally:
+        node.kill()
+        client.node.destroy_node()

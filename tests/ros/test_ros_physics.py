@@ -11,7 +11,7 @@ from sim_core.errors import ConvergenceError
 from sim_core.rigs import load_rig, with_parameters
 from thinshell_ros.physics import Physics
 from thinshell_ros.poses import Pose
-from thinshell_ros.protocol import Settings, Target
+from thinshell_ros.protocol import Settings, Target, Velocity
 from thinshell_ros.streams import channels_of
 
 RIG = Path(__file__).parent / "data" / "press_gel.yaml"
@@ -125,6 +125,42 @@ def test_a_gel_that_is_pressed_too_far_is_told_by_name_and_a_retreat_is_followed
     press(physics, 0.0105, 60)
     assert physics.failure is None
     physics.reset()
+
+
+def test_what_follows_a_snapshot_is_the_same_again_bit_for_bit_after_a_reset_too(physics: Physics) -> None:
+    physics.reset()
+    press(physics, 0.0094, 20)
+    physics.keep()
+    at, here = physics.time, physics._read()
+    press(physics, 0.0092, 15)
+    first = physics._read()
+    for reset in (False, True):
+        if reset:
+            physics.reset()
+        before = physics.time
+        assert physics.restore() == at and physics.time == before
+        again = physics._read()
+        assert all((again[name] == here[name]).all() for name in here)
+        press(physics, 0.0092, 15)
+        second = physics._read()
+        assert all((second[name] == first[name]).all() for name in first)
+    assert Physics(settings()).restore() is None
+
+
+def test_an_end_effector_moves_with_a_velocity_for_as_long_as_it_is_said_and_then_holds(physics: Physics) -> None:
+    physics.reset()
+    start = physics.rest["probe"]
+    linear, angular = np.array([0.0, 0.01, 0.02]), np.array([0.0, 0.0, 0.5])
+    physics.aim(Velocity("probe", linear, angular, 6 * physics.dt))
+    for steps in (6, 9):
+        physics.step()
+        for _ in range(steps - 1):
+            physics.step()
+        pose, moved_s = physics._poses["probe"], 6 * physics.dt
+        np.testing.assert_allclose(pose.position, start[:3] + moved_s * linear, atol=1e-12)
+        np.testing.assert_allclose(pose.rotation().as_rotvec(), moved_s * angular, atol=1e-9)
+    physics.aim(Velocity("probe", linear, angular, 1.0))
+    assert press(physics, 0.0105, 30)["probe"][2] == pytest.approx(0.0105, abs=1e-12), "a pose takes its place"
 
 
 def test_time_goes_on_over_a_reset(physics: Physics) -> None:

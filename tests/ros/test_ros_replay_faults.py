@@ -11,6 +11,7 @@ from itertools import pairwise
 import pytest
 from replay_bench import HELD_M, PEAK_M_S
 from replay_plant import (
+    CAUSES,
     FAULTS,
     JITTER_S,
     PERIOD_S,
@@ -25,30 +26,6 @@ from replay_plant import (
 )
 
 from thinshell_ros.replay.session import CATCH_UP
-
-CAUSES = {
-    "lag": r"follows its commands [\d.]+ s late|has stood still",
-    "late": r"follows its commands [\d.]+ s late|has stood still",
-    "stop": r"follows its commands [\d.]+ s late|has stood still",
-    "jump": r"measured pose of hand jumped|hand has left the workspace|force on pad",
-    "sensor_jump": r"measured pose of hand jumped|hand has left the workspace",
-    "pose_once": r"measured pose of hand jumped|hand has left the workspace",
-    "pose_silent": r"last reading of the pose of hand",
-    "wrench_silent": r"last reading of the wrench pad",
-    "markers_silent": r"last reading of the markers gel",
-    "pose_frozen": r"last reading of the pose of hand",
-    "pose_nan": r"pose of hand is not finite",
-    "wrench_dead": r"reads exactly 0.*dead|same reading .* sensor has stopped",
-    "wrench_constant": r"reads exactly .*dead|same reading .* sensor has stopped",
-    "wrench_frame": r"wrench pad is in the frame 'flange', and it is expected in 'pad'",
-    "wrench_turned": r"turned by \d+ deg against it.*another frame",
-    "markers_vanish": r"markers gel \d+ are seen, 12 were before",
-    "force_step": r"force on pad is .* at most 6 N|force on pad has changed by",
-    "early_contact": r"force on pad is .* at most 6 N|force on pad has changed by",
-    "clock_jump": r"ROS clock jumped by|stamp of the .* is|last reading of the .* is from",
-    "loop_stall": r"control loop stood still",
-}
-"""What the sentence has to say where a fault ends a replay."""
 
 
 def assert_nothing_is_exceeded(log: Log) -> float:

@@ -145,14 +145,16 @@ def test_simulated_time_may_be_slow_but_not_go_back() -> None:
 
 
 def test_a_simulation_that_stands_still_makes_all_wait_however_long() -> None:
-    """A step of physics that takes a minute of wall time: no reading is too old, nothing moves, and it goes on."""
+    """A step of physics that takes a minute of wall time: no reading is too old, nothing moves, no command repeats the
+    one before under its stamp, and it goes on."""
     bench = Bench(replace(SETTINGS, simulated_time=True)).start().run(0.1)
     held, at = bench.session.commanded, bench.session.time_s
     bench.still_s = bench.now.ros_s
     for _ in range(6000):
         bench.at_s += PERIOD_S
-        assert bench.session.tick(bench.now) == held
+        assert bench.session.tick(bench.now) is None
     assert bench.session.state == "running"
+    assert bench.session.commanded == held
     assert bench.session.time_s == at
     assert bench.session.report().values["waiting_s"] == "60.0"
     bench.still_s, bench.jump_s = None, bench.jump_s - 60.0

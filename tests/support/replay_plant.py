@@ -61,6 +61,31 @@ FAULTS = (
 )  # fmt: skip
 
 
+CAUSES = {
+    "lag": r"follows its commands [\d.]+ s late|has stood still",
+    "late": r"follows its commands [\d.]+ s late|has stood still",
+    "stop": r"follows its commands [\d.]+ s late|has stood still",
+    "jump": r"measured pose of hand jumped|hand has left the workspace|force on pad",
+    "sensor_jump": r"measured pose of hand jumped|hand has left the workspace",
+    "pose_once": r"measured pose of hand jumped|hand has left the workspace",
+    "pose_silent": r"last reading of the pose of hand",
+    "wrench_silent": r"last reading of the wrench pad",
+    "markers_silent": r"last reading of the markers gel",
+    "pose_frozen": r"last reading of the pose of hand",
+    "pose_nan": r"pose of hand is not finite",
+    "wrench_dead": r"reads exactly 0.*dead|same reading .* sensor has stopped",
+    "wrench_constant": r"reads exactly .*dead|same reading .* sensor has stopped",
+    "wrench_frame": r"wrench pad is in the frame 'flange', and it is expected in 'pad'",
+    "wrench_turned": r"turned by \d+ deg against it.*another frame",
+    "markers_vanish": r"markers gel \d+ are seen, 12 were before",
+    "force_step": r"force on pad is .* at most 6 N|force on pad has changed by",
+    "early_contact": r"force on pad is .* at most 6 N|force on pad has changed by",
+    "clock_jump": r"ROS clock jumped by|stamp of the .* is|last reading of the .* is from",
+    "loop_stall": r"control loop stood still",
+}
+"""What the sentence has to say where a fault ends a replay."""
+
+
 def height(time_s: np.ndarray) -> np.ndarray:
     """The press: down by 20 mm in 0.4 s, and up again."""
     down = minimum_jerk(np.clip(np.asarray(time_s) / 0.4, 0.0, 1.0))
@@ -150,70 +175,118 @@ class Fault:
         return self.at <= now < self.at + self.lasts
 
 
+class Hand:
+    """The end effector with its wall and its sensors, and one fault. ``ros_s``: of the clock that stamps."""
+
+    def __init__(self, fault: Fault, rng: random.Random, log: Log) -> None:
+        self.fault, self.log = fault, log
+        self.z = self.target = 0.0
+        self.sent: list[tuple[float, float]] = [(-1.0, 0.0)]
+        """When was commanded what."""
+        self._lag, log.latency = rng.uniform(0.005, 0.03), rng.uniform(0.0, 0.008)
+        self._noise = np.random.default_rng(rng.randrange(2**31))
+        self._wall = WALL_M + (fault.size if fault.kind == "early_contact" else 0.0)
+        self._contact = 0.0
+        self._jumped = self._shown_once = False
+        self._frozen = (0.0, 0.0)
+        self._held, self._last, self._repeats = np.zeros(3), np.full(3, np.nan), 0
+        self._next_reading = self._next_cloud = -0.2
+
+    def command(self, now: float, z: float) -> None:
+        """This height is commanded from now on."""
+        self.target = z
+        self.sent.append((now, z))
+
+    def move(self, now: float) -> None:
+        """A step of time."""
+        fault, acts = self.fault, self.fault.acts(now)
+        slow = fault.size if fault.kind == "lag" and acts else self._lag
+        aim = self.target
+        if fault.kind == "late" and now >= 0.0:
+            aim = next(value for when, value in reversed(self.sent) if when <= now - fault.size or when == -1.0)
+        if not (fault.kind == "stop" and acts):
+            self.z += (aim - self.z) * -math.expm1(-STEP_S / slow)
+        if fault.kind == "jump" and now >= fault.at and not self._jumped:
+            self._jumped, self.z = True, self.z + fault.size
+        self._contact = STIFFNESS_N_PER_M * max(self._wall - self.z, 0.0)
+        self.log.forces.append((now, self._contact))
+
+    def sense(self, now: float, ros_s: float) -> list[tuple[str, float, Any]]:
+        """Readings that are taken now: kind, stamp, and z, or (force, frame, repeats), or (how many markers, where)."""
+        found: list[tuple[str, float, Any]] = []
+        if now >= self._next_reading:
+            self._next_reading += SENSOR_PERIOD_S
+            found += [*self._pose(now, ros_s), *self._wrench(now, ros_s)]
+        if now >= self._next_cloud:
+            self._next_cloud += MARKER_PERIOD_S
+            found += self._markers(now, ros_s)
+        return found
+
+    def _pose(self, now: float, ros_s: float) -> list[tuple[str, float, Any]]:
+        kind, acts = self.fault.kind, self.fault.acts(now)
+        shown = self.z + (self.fault.size if kind == "sensor_jump" and acts else 0.0)
+        if kind == "pose_once" and now >= self.fault.at and not self._shown_once:
+            self._shown_once, shown = True, self.z + self.fault.size
+        reading = math.nan if kind == "pose_nan" and acts else shown
+        if kind == "pose_frozen" and acts:
+            return [("pose", *self._frozen)]
+        if kind == "pose_silent" and acts:
+            return []
+        self._frozen = ros_s, reading
+        return [("pose", ros_s, reading)]
+
+    def _wrench(self, now: float, ros_s: float) -> list[tuple[str, float, Any]]:
+        kind, size, acts = self.fault.kind, self.fault.size, self.fault.acts(now)
+        force = np.array([0.0, 0.0, -self._contact]) + NOISE_N * self._noise.standard_normal(3)
+        force[2] -= size if kind == "force_step" and acts else 0.0
+        if kind == "wrench_turned" and acts:
+            c, s = math.cos(size), math.sin(size)
+            force = np.array([c * force[0] + s * force[2], force[1], c * force[2] - s * force[0]])
+        if kind in ("wrench_dead", "wrench_constant") and acts:
+            force = np.zeros(3) if kind == "wrench_dead" else self._held
+        self._held = force
+        if kind == "wrench_silent" and acts:
+            return []
+        self._repeats = self._repeats + 1 if np.array_equal(force, self._last) else 0
+        self._last = force
+        frame = "flange" if kind == "wrench_frame" and acts else "pad"
+        return [("wrench", ros_s, (tuple(force.tolist()), frame, self._repeats))]
+
+    def _markers(self, now: float, ros_s: float) -> list[tuple[str, float, Any]]:
+        kind, acts = self.fault.kind, self.fault.acts(now)
+        left = MARKERS - (round(self.fault.size * MARKERS) if kind == "markers_vanish" and acts else 0)
+        rest = TRAJECTORY.predicted.markers["gel"].positions_m[0]
+        places = rest + 1e-4 * self._contact * np.array([0.0, 0.0, 1.0])
+        places = places + 1e-5 * self._noise.standard_normal(rest.shape)
+        return [] if kind == "markers_silent" and acts else [("markers", ros_s, (left, places))]
+
+    def note(self, now: float, kind: str, stamp: float, value: Any) -> None:
+        """A reading has arrived."""
+        if kind == "pose":
+            self.log.poses.append((now, stamp, value))
+        elif kind == "wrench":
+            self.log.wrenches.append((now, stamp, *value))
+        else:
+            self.log.markers.append((now, stamp, value[0]))
+
+
 def simulate(
     fault: Fault, rng: random.Random, settings: GuardSettings = SETTINGS, until: float = 1.8, scale: float = 1.0
 ) -> Log:
     """Execute the press at time 0 on a plant with a fault, and go on for 0.3 s; readings flow since 0.2 s before."""
     session = Session(TRAJECTORY, settings, ["pad"], scale, ["gel"])
     log = Log(fault.kind)
-    z = target = 0.0
-    lag, latency = rng.uniform(0.005, 0.03), rng.uniform(0.0, 0.008)
-    noise = np.random.default_rng(rng.randrange(2**31))
-    log.latency = latency
-    wall = WALL_M + (fault.size if fault.kind == "early_contact" else 0.0)
+    hand = Hand(fault, rng, log)
     waiting: list[tuple[float, str, float, Any]] = []
-    sent: list[tuple[float, float]] = [(-1.0, 0.0)]
-    stalled = jumped = started = shown_once = False
-    next_tick, next_reading, next_cloud, frozen = 0.0, -0.2, -0.2, (0.0, 0.0)
-    held = np.zeros(3)
-    repeats, last_force = 0, np.full(3, np.nan)
+    stalled = started = False
+    next_tick = 0.0
     for number in range(-200, round(until / STEP_S)):
         now = number * STEP_S
         if now > log.ended + 0.3:
             break
-        acts = fault.acts(now)
         ros = EPOCH_S + now + (fault.size if fault.kind == "clock_jump" and now >= fault.at else 0.0)
-        slow = fault.size if fault.kind == "lag" and acts else lag
-        aim = target
-        if fault.kind == "late" and now >= 0.0:
-            aim = next(value for when, value in reversed(sent) if when <= now - fault.size or when == -1.0)
-        if not (fault.kind == "stop" and acts):
-            z += (aim - z) * -math.expm1(-STEP_S / slow)
-        if fault.kind == "jump" and now >= fault.at and not jumped:
-            jumped, z = True, z + fault.size
-        contact = STIFFNESS_N_PER_M * max(wall - z, 0.0)
-        log.forces.append((now, contact))
-        if now >= next_reading:
-            next_reading += SENSOR_PERIOD_S
-            shown = z + (fault.size if fault.kind == "sensor_jump" and acts else 0.0)
-            if fault.kind == "pose_once" and now >= fault.at and not shown_once:
-                shown_once, shown = True, z + fault.size
-            reading = math.nan if fault.kind == "pose_nan" and acts else shown
-            if fault.kind == "pose_frozen" and acts:
-                waiting.append((now + latency, "pose", *frozen))
-            elif not (fault.kind == "pose_silent" and acts):
-                frozen = ros, reading
-                waiting.append((now + latency, "pose", ros, reading))
-            force = np.array([0.0, 0.0, -contact]) + NOISE_N * noise.standard_normal(3)
-            force[2] -= fault.size if fault.kind == "force_step" and acts else 0.0
-            if fault.kind == "wrench_turned" and acts:
-                c, s = math.cos(fault.size), math.sin(fault.size)
-                force = np.array([c * force[0] + s * force[2], force[1], c * force[2] - s * force[0]])
-            if fault.kind in ("wrench_dead", "wrench_constant") and acts:
-                force = np.zeros(3) if fault.kind == "wrench_dead" else held
-            held = force
-            frame = "flange" if fault.kind == "wrench_frame" and acts else "pad"
-            if not (fault.kind == "wrench_silent" and acts):
-                repeats = repeats + 1 if np.array_equal(force, last_force) else 0
-                last_force = force
-                waiting.append((now + latency, "wrench", ros, (tuple(force.tolist()), frame, repeats)))
-        if now >= next_cloud:
-            next_cloud += MARKER_PERIOD_S
-            left = MARKERS - (round(fault.size * MARKERS) if fault.kind == "markers_vanish" and acts else 0)
-            rest = TRAJECTORY.predicted.markers["gel"].positions_m[0]
-            places = rest + 1e-4 * contact * np.array([0.0, 0.0, 1.0]) + 1e-5 * noise.standard_normal(rest.shape)
-            if not (fault.kind == "markers_silent" and acts):
-                waiting.append((now + latency, "markers", ros, (left, places)))
+        hand.move(now)
+        waiting += [(now + log.latency, *reading) for reading in hand.sense(now, ros)]
         instant = Instant(now, ros)
         hung = fault.kind == "loop_stall" and fault.at <= now < fault.at + fault.size
         if fault.kind == "commander_killed" and now >= fault.at:
@@ -223,15 +296,13 @@ def simulate(
             continue
         while waiting and waiting[0][0] <= now:
             _, kind, stamp, value = waiting.pop(0)
+            hand.note(now, kind, stamp, value)
             if kind == "pose":
-                log.poses.append((now, stamp, value))
                 session.take_pose("hand", instant, stamp, "base_link", Placed((0.0, 0.0, value), UPRIGHT))
             elif kind == "wrench":
-                log.wrenches.append((now, stamp, *value))
                 session.take_wrench("pad", instant, stamp, value[1], value[0], (0.0, 0.0, 0.0))
             else:
                 left, places = value
-                log.markers.append((now, stamp, left))
                 session.take_markers("gel", instant, stamp, "pad", np.arange(left), places[:left])
         if now >= next_tick:
             next_tick = (now if stalled else next_tick) + PERIOD_S
@@ -241,9 +312,8 @@ def simulate(
                 log.reason = session.execute(instant)
             command = session.tick(instant)
             if command is not None:
-                target = command["hand"].position[2]
-                sent.append((now, target))
-            log.ticks.append((now, ros, None if command is None else target, session.time_s))
+                hand.command(now, command["hand"].position[2])
+            log.ticks.append((now, ros, None if command is None else hand.target, session.time_s))
             next_tick += rng.uniform(-JITTER_S, JITTER_S) if fault.kind != "loop_stall" else 0.0
             if session.state in ("aborted", "succeeded") and math.isinf(log.ended):
                 log.ended = now

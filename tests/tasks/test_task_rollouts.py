@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_task import TASK, small_task
+from small_task import RIG, TASK, small_task
 
 from sim_core.tasks import TaskRollouts, load_task
 from sim_core.tasks.actions import OUT_AND_BACK
@@ -37,6 +37,36 @@ def test_a_rollout_does_not_depend_on_those_before(tmp_path: Path) -> None:
     assert rollouts.outcome(one).reward == first
     assert TaskRollouts(small_task(tmp_path)).outcome(one).reward == first
     assert rollouts.gradient(one).reward == pytest.approx(first, rel=1e-6)
+
+
+def test_a_robot_that_does_not_do_as_told_does_so_in_each_kind_of_rollout(tmp_path: Path) -> None:
+    """What acts on commands counts with the gradient and without it, as where a trajectory is rolled out."""
+    rewards = {}
+    for share in (0.0, -0.2):
+        scale = f"\n  command_scale: {{scale_x: 0.0, scale_y: 0.0, scale_z: {share}}}"
+        (tmp_path / "rig.yaml").write_text(RIG.replace("\neffects:", f"\neffects:{scale}"))
+        text = TASK.replace("REWARD", "folding").replace("rig: RIG", "rig: rig.yaml")
+        (tmp_path / "task.yaml").write_text(text)
+        rollouts = TaskRollouts(load_task(str(tmp_path / "task.yaml")))
+        action = np.zeros(rollouts.space.size)
+        action[[2, 8]] = -0.9, -0.8
+        rewards[share] = rollouts.outcome(action).reward
+        assert rollouts.gradient(action).reward == pytest.approx(rewards[share], rel=1e-6)
+    assert abs(rewards[-0.2] - rewards[0.0]) > 1e-3 * abs(rewards[0.0])
+
+
+def test_the_target_may_be_made_on_another_rig(tmp_path: Path) -> None:
+    """So the goal stays where it was while the rig is amended; rigs are found beside the file of the task."""
+    given = TaskRollouts(small_task(tmp_path, "forming"))
+    softer = RIG.replace("E_pa: 2.0e9", "E_pa: 1.6e9")
+    (tmp_path / "softer.yaml").write_text(softer)
+    text = TASK.replace("REWARD", "forming").replace("rig: RIG", "rig: softer.yaml\ntarget_rig: rig.yaml")
+    (tmp_path / "amended.yaml").write_text(text)
+    amended = TaskRollouts(load_task(str(tmp_path / "amended.yaml")))
+    assert (amended._target["sheet"] == given._target["sheet"]).all()
+    (tmp_path / "moved.yaml").write_text(text.replace("target_rig: rig.yaml", ""))
+    moved = TaskRollouts(load_task(str(tmp_path / "moved.yaml")))
+    assert np.abs(moved._target["sheet"] - given._target["sheet"]).max() > 1e-6
 
 
 def test_a_force_above_the_limit_ends_the_rollout(tmp_path: Path) -> None:

@@ -94,6 +94,9 @@ class Deployment:
         self._node.destroy_publisher(self._events)
 
     def _on_period(self) -> None:
+        if self.session.moving and self._moves and (others := self._others()):
+            self.abort(others)
+            return
         before = self.session.state
         commanded = self.session.tick(self._now())
         if commanded is not None:
@@ -161,9 +164,7 @@ class Deployment:
         return True
 
     def watch(self) -> list[Report]:
-        """Abort where somebody else commands the end effectors too; returns the state and that of the recording."""
-        if self.session.moving and self._moves and (others := self._others()):
-            self.abort(others)
+        """Abort where the simulation has ended; returns the state and that of the recording."""
         if self.session.moving and self._given.guard.simulated_time and not self._node.count_publishers("/clock"):
             self.abort("Nobody publishes /clock any more: the simulation has ended.")
         reports = [self.session.report()]

@@ -16,8 +16,8 @@ from rclpy.node import Node
 
 from sim_core.errors import ConfigError
 
-STOP_S = 20.0
-"""Time [s] that the recorder gets to finish its bag."""
+STOP_S = 120.0
+"""Time [s] that the recorder gets to finish its bag: reached only by one that hangs, however busy the machine."""
 
 
 class Recording:

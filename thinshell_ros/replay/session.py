@@ -201,10 +201,11 @@ class Session:
         if fault:
             self.abort(now, fault)
             return self.commanded
-        self._advance(now)
-        return self.commanded
+        # While simulated time stands still, a command would only repeat the one before, under the same stamp.
+        return self.commanded if self._advance(now) else None
 
-    def _advance(self, now: Instant) -> None:
+    def _advance(self, now: Instant) -> bool:
+        """Move on by the time that has passed; returns whether any has."""
         assert self._last is not None
         simulated, most = self.guard.settings.simulated_time, CATCH_UP * self.guard.settings.period_s
         passed = now.ros_s - self._last.ros_s if simulated else now.steady_s - self._last.steady_s
@@ -225,6 +226,7 @@ class Session:
             self.guard.end()
             self._ended_s = now.steady_s
             self.state = "retracted" if self.state == "retracting" else "succeeded"
+        return passed > 0.0
 
     @property
     def progress(self) -> float:

@@ -19,7 +19,7 @@ from thinshell_ros import messages
 from thinshell_ros.clouds import marker_positions
 from thinshell_ros.graph import subscribers
 from thinshell_ros.poses import Pose
-from thinshell_ros.qos import LATCHED, LATEST, READINGS
+from thinshell_ros.qos import LATCHED, LATEST, READINGS, overridable
 from thinshell_ros.replay.messages import path_of
 from thinshell_ros.replay.session import Session
 from thinshell_ros.replay.streams import Instant
@@ -63,13 +63,17 @@ class Topics:
         self._subscriptions: list[Any] = []
         self.readings: list[str] = []
         """Topics of what is measured."""
+
+        def publisher(kind: Any, topic: str) -> Any:
+            return node.create_lifecycle_publisher(kind, topic, **overridable(LATEST))
+
         for name, path in trajectory.end_effectors.items():
             apart = f"{name}/" if several else ""
             self.targets[name] = path.target_topic if moves else f"~/dry_run/{apart}target_pose"
-            self._publishers[name] = node.create_lifecycle_publisher(PoseStamped, self.targets[name], LATEST)
+            self._publishers[name] = publisher(PoseStamped, self.targets[name])
             if path.gripper_closing_m is not None:
                 topic = f"{'' if moves else '~/dry_run/'}{apart}gripper_closing"
-                self._closings[name] = node.create_lifecycle_publisher(Float64, topic, LATEST)
+                self._closings[name] = publisher(Float64, topic)
             self._subscribe(PoseStamped, path.current_topic, partial(self._on_pose, name))
             shown = node.create_publisher(Path, f"~/{apart}path", LATCHED)
             stamp = node.get_clock().now().nanoseconds
@@ -82,7 +86,8 @@ class Topics:
 
     def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None]) -> None:
         self.readings.append(topic)
-        self._subscriptions.append(self._node.create_subscription(kind, topic, take, READINGS))
+        heard = self._node.create_subscription(kind, topic, callback=take, **overridable(READINGS))
+        self._subscriptions.append(heard)
 
     def _on_pose(self, name: str, message: PoseStamped) -> None:
         p, q, header = message.pose.position, message.pose.orientation, message.header
