@@ -96,13 +96,31 @@ class SetFits:
     def fit(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float) -> FittedSet | None:
         """A set of effects fitted beside those of ``begun``, from the best of several starts, each with shapes from a
         look at it; None, and why in ``failed``, where that cannot be simulated."""
-        base, name = self._base, " and ".join(e for e, _ in wanted[0])
+        name = " and ".join(e for e, _ in wanted[0])
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)]
         left = self._glance(starts)
         if not np.isfinite(left).any():
             self.failed[name] = "could not be simulated"
             return None
-        start = starts[int(np.argmin(left))]
+        return self._fitted(starts[int(np.argmin(left))], begun.hypotheses, name)
+
+    def fit_without(self, begun: FittedSet, effect: str) -> FittedSet | None:
+        """A set of several effects without one of them, fitted on from where the set stands (backward elimination);
+        None, and why in ``failed``, where that cannot be simulated."""
+        fitted = begun.fitted
+        gone = next(h for h in begun.hypotheses if h.effect.name == effect)
+        kept = tuple(h for h in begun.hypotheses if h is not gone)
+        mine = np.array([not p.target.startswith(f"effects.{gone.key}.") for p in fitted.parameters])
+        centre = fitted.centre.model_copy(
+            update={"effects": {k: v for k, v in fitted.centre.effects.items() if k != gone.key}}
+        )
+        parameters = [p for p, stays in zip(fitted.parameters, mine, strict=True) if stays]
+        start = _Start(kept, centre, parameters, fitted.scaled[mine])
+        return self._fitted(start, (), " and ".join(h.effect.name for h in kept))
+
+    def _fitted(self, start: _Start, before: tuple[Hypothesis, ...], name: str) -> FittedSet | None:
+        """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
+        base = self._base
         try:
             problem = copy(base.problem)
             problem.engine = SparingPredictor(base.problem.engine)
@@ -113,7 +131,7 @@ class SetFits:
             if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
                 self.failed[name] = "it moves readings out of sight"
                 return None
-            whole = (*begun.hypotheses, *start.hypotheses)
+            whole = (*before, *start.hypotheses)
             seen = self._responses.look_at(problem, fitted, whole)
             there = predicted_held_out(base.check, base.there, fitted)
         except ThinshellError as error:

@@ -3,7 +3,7 @@
 The posterior is that of the rig and of all sets of effects (:mod:`sysid.comparison.posterior`), each in the ledger
 where most of its effects are fitted. The most probable sets that are not fitted yet are fitted next. Where none leaves
 noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
-evidence says little of which is best.
+evidence says little of which is best. Of the best set of several effects all parts are fitted before it is an answer.
 """
 
 from __future__ import annotations
@@ -33,6 +33,14 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
         found = compared(ledger_with(fitted))
         posterior = judged(found)
         room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
+        parts = _parts(posterior, fitted, tried)
+        if parts and room > 0:
+            tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), "whether all of its effects are needed")
+            tried |= {part for part, _, _ in parts}
+            with ThreadPoolExecutor(len(parts)) as threads:
+                more = threads.map(lambda part: fits.fit_without(part[1], part[2]), parts)
+                fitted += [one for one in more if one is not None]
+            continue
         wanted = _wanted(posterior, tried)[: DIAGNOSIS.fitted_together]
         if not simulated and _leaves_misfit(found, fitted[0].ledger):
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
@@ -66,6 +74,19 @@ def _wanted(posterior: Posterior, tried: set[tuple[str, ...]]) -> list[tuple[str
         for m in known
         if m.effects not in tried and m.probability > DIAGNOSIS.fitted_share * max(whole, 1e-300)
     ]
+
+
+def _parts(
+    posterior: Posterior, fitted: list[FittedSet], tried: set[tuple[str, ...]]
+) -> list[tuple[tuple[str, ...], FittedSet, str]]:
+    """Parts of the most probable set of several effects that were not tried, with the set and the effect that each is
+    without: a set is no answer before it is known whether all of it is needed."""
+    best = next((m.effects for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)), ())
+    whole = next((one for one in fitted if one.names == best), None)
+    if whole is None or len(best) < 2:
+        return []
+    parts = [(tuple(n for n in best if n != effect), whole, effect) for effect in best]
+    return [part for part in parts if part[0] not in tried]
 
 
 def _leaves_misfit(found: Compared, ledger: Ledger) -> bool:

@@ -44,7 +44,7 @@ def diagnosis(verdict: str, names: list[str]) -> dict:
         "verdict": verdict,
         "effects": [{"name": n, "parameters": [SHARE]} for n in names],
         "posterior": {
-            "effects": {**{n: 0.95 - 0.1 * k for k, n in enumerate(names)}, "stream_delay": 0.02},
+            "effects": {"stream_delay": 0.02, **{n: 0.95 - 0.1 * k for k, n in enumerate(names)}},
             "places": {"robot": 0.6, "sheet": 0.3},
         },
         "fit": {"baseline": {"held_out": 9.0}, "amended": {"held_out": 1.1} if names else None},
