@@ -123,7 +123,7 @@ class TaskRollouts:
         if "target_seed" not in settings:
             return {}
         if self.made.target_rig is not None:
-            return TaskRollouts(replace(self.made, rig=self.made.target_rig, target_rig=None)).target
+            return dict(TaskRollouts(replace(self.made, rig=self.made.target_rig, target_rig=None)).target)
         rng = np.random.default_rng(int(settings["target_seed"]))
         given = np.atleast_1d(np.asarray(settings["target_scale"], dtype=float))
         scale = (np.full(7, given[0]) if len(given) == 1 else np.append(given, np.zeros(7))[:7])[self.space.components]
