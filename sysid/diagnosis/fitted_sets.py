@@ -30,6 +30,7 @@ from sysid.model.sparing_predictor import SparingPredictor
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.solve import SOLVE
 from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 Shapes = tuple[tuple[str, str], ...]
 """Effects, each with the label of one of its shapes in a ledger."""
@@ -131,6 +132,7 @@ class SetFits:
             if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
                 self.failed[name] = "it moves readings out of sight"
                 return None
+            fitted = self._with_own_derivatives(problem, fitted)
             whole = (*before, *start.hypotheses)
             seen = self._responses.look_at(problem, fitted, whole)
             there = predicted_held_out(base.check, base.there, fitted)
@@ -138,6 +140,15 @@ class SetFits:
             self.failed[name] = f"could not be simulated: {error}"
             return None
         return FittedSet(whole, fitted, there, seen)
+
+    def _with_own_derivatives(self, problem: Problem, fitted: Fitted) -> Fitted:
+        """The model with derivatives that are made where it stands: those of a search are carried over from where it
+        was (:mod:`sysid.model.sparing_predictor`), and the evidence of a set hangs on them."""
+        engine = self._base.engine if self._base.reference is None else problem.engine
+        predictions = engine.predict_all(fitted.centre, problem.runs, fitted.parameters, fitted.scaled)
+        found = problem.compare(predictions, fitted.centre, fitted.parameters, fitted.scaled)
+        found.converged, found.message = fitted.converged, fitted.message
+        return found
 
     def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
         """Predictions with what the reference model adds where a model stands."""
