@@ -4,8 +4,9 @@ Every slot (:mod:`sysid.diagnosis.slots`) has an error without a law: the modulu
 
     E (1 + sum_f c_f phi_f),
 
-with features phi_f of what the recordings show, which are the same for all recordings: how hard is pressed, where the
-hand is, which way and how fast it goes, how late it is. With small coefficients these are what careful models differ
+with features phi_f of what goes on, which are the same for all recordings: how hard is pressed, where the hand is,
+which way and how fast it goes, how late it is. Forces are those that the model predicts: a feature of measured ones has
+their noise, and would explain it (errors in variables). With small coefficients these are what careful models differ
 in; with large ones they are physics that nobody has named (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, with the
 discrepancy inside of the model as in Sargsyan, Huan & Najm, Int. J. Uncertain. Quantif. 9, 2019). The two widths are
 those of :mod:`sysid.comparison.posterior`.
@@ -13,11 +14,10 @@ those of :mod:`sysid.comparison.posterior`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs import Rig
@@ -62,12 +62,14 @@ class Closure:
 
 
 class Closures:
-    """The closures of all slots of a rig in a problem. ``columns``: in the order of what :meth:`append` adds."""
+    """The closures of all slots of a rig in a problem, beside ``predictions`` of its recordings. ``columns``: in the
+    order of what :meth:`append` adds."""
 
-    def __init__(self, rig: Rig, problem: Problem) -> None:
+    def __init__(self, rig: Rig, problem: Problem, predictions: Sequence[Prediction]) -> None:
         self._runs = problem.runs
         self._sizes: dict[str, np.ndarray] = {}
-        self._courses = {run.name: course for run, course in zip(problem.runs, courses(problem.runs), strict=True)}
+        found = courses(problem.runs, [p.values for p in predictions])
+        self._courses = {run.name: course for run, course in zip(problem.runs, found, strict=True)}
         features = [c.feature for c in next(iter(self._courses.values()))]
         slots = mechanical_slots(rig)
         parameters = {p.name: p for p in fit_parameters(rig, [n for _, names in slots for n in names])}
@@ -108,14 +110,14 @@ class Closures:
         return Prediction(prediction.values, derivatives, prediction.trace)
 
 
-def courses(runs: Sequence[Run]) -> list[list[Course]]:
-    """Features of recordings, with one scale for all of them: the ``time`` since the first one began; along each of the
-    axes in which the hands move notably, the ``place``, the ``velocity`` and the ``direction`` in which they go; the
-    ``square`` of the first place and the ``speed``; the ``load`` on the wrench sensors, and the ``force`` along each of
-    its axes, without any of which these are zero."""
+def courses(runs: Sequence[Run], predicted: Sequence[Mapping[str, np.ndarray]]) -> list[list[Course]]:
+    """Features of recordings, of which readings are ``predicted`` ``(n, m)`` by channel, with one scale for all: the
+    ``time`` since the first one began; along each of the axes in which the hands move notably, the ``place``, the
+    ``velocity`` and the ``direction`` in which they go; the ``square`` of the first place, the ``speed``; the ``load``
+    on the wrench sensors, and the ``force`` along each of its axes, without any of which these are zero."""
     grids = [np.linspace(0.0, run.end, DIAGNOSIS.feature_samples) for run in runs]
     moves = _moves(runs, grids)
-    loads = [_forces(run, grid) for run, grid in zip(runs, grids, strict=True)]
+    loads = [_forces(*known) for known in zip(runs, grids, predicted, strict=True)]
     sizes = [np.linalg.norm(f, axis=1) for f in loads]
     places, forces = _along_axes(moves), _along_axes(loads)
     begun = np.concatenate([[0.0], np.cumsum([run.end for run in runs])])
@@ -171,13 +173,11 @@ def _moves(runs: Sequence[Run], grids: Sequence[np.ndarray]) -> list[np.ndarray]
     return [np.hstack([p / s for p, s in zip(part, scales, strict=True)]) for part in parts]
 
 
-def _forces(run: Run, grid: np.ndarray) -> np.ndarray:
-    """Forces on all wrench sensors, smoothed, ``(n, 3 w)``; one course of zeros without any."""
+def _forces(run: Run, grid: np.ndarray, predicted: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Predicted forces on all wrench sensors ``(n, 3 w)``; one course of zeros without any."""
     found = [
-        np.stack([np.interp(grid, m.t, component) for component in np.nan_to_num(m.values[:, :3]).T], axis=1)
+        np.stack([np.interp(grid, m.t, part) for part in np.nan_to_num(predicted[m.channel][:, :3]).T], axis=1)
         for m in run.measured
         if m.kind == "wrench" and np.isfinite(m.values).any()
     ]
-    return (
-        uniform_filter1d(np.hstack(found), DIAGNOSIS.feature_smoothing, axis=0) if found else np.zeros((len(grid), 1))
-    )
+    return np.hstack(found) if found else np.zeros((len(grid), 1))

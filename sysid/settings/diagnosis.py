@@ -236,9 +236,6 @@ class DiagnosisSettings:
         "judgement",
     )
     feature_samples: int = setting(200, "1", "Instants at which a feature of a recording is kept.", "cost")
-    feature_smoothing: int = setting(
-        5, "1", "Instants that a feature of noisy readings is averaged over.", "convention"
-    )
     feature_axes: int = setting(
         3, "1", "Axes of the motion of the hands, and of the forces, that closures go by at most.", "cost"
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.closures import courses
+from sysid.diagnosis.closures import Course, courses
 from sysid.observations.observations import Measured, Run
 
 T = np.linspace(0.0, 2.0, 401)
@@ -26,9 +26,25 @@ def run(name: str, heights: np.ndarray, force: np.ndarray | None = None) -> Run:
     return Run(name, name, (name,), poses, (Measured("wrench", "wrench", T, wrench, tuple("abcdef")),), float(T[-1]))
 
 
+def features(*runs: Run) -> list[list[Course]]:
+    """Of recordings that are predicted as they are measured."""
+    return courses(runs, [{m.channel: m.values for m in one.measured} for one in runs])
+
+
+def test_noise_of_a_force_is_no_feature() -> None:
+    """What a sensor reads beside what is predicted changes nothing."""
+    up = 0.02 * np.sin(np.pi * T)
+    clean = run("a", up, 3.0 * np.abs(up))
+    noisy = clean.measured[0].values + np.random.default_rng(1).standard_normal((len(T), 6))
+    spoilt = replace(clean, measured=(replace(clean.measured[0], values=noisy),))
+    (found,) = courses([spoilt], [{"wrench": clean.measured[0].values}])
+    for one, other in zip(found, features(clean)[0], strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+
+
 def test_features_are_those_of_the_motion_and_of_the_load() -> None:
     up = 0.02 * np.sin(np.pi * T)
-    first, second = courses([run("a", up, 3.0 * np.abs(up)), run("b", 0.5 * up, -1.0 * np.abs(up))])
+    first, second = features(run("a", up, 3.0 * np.abs(up)), run("b", 0.5 * up, -1.0 * np.abs(up)))
     a, b = ({c.feature: c for c in found} for found in (first, second))
     # Times count from the first recording on, over all of them.
     assert (a["time"].values[0], b["time"].values[-1]) == (-1.0, 1.0)
@@ -55,14 +71,12 @@ def test_motions_and_forces_along_several_lines_have_features_along_each() -> No
     hand = plain.poses["hand"]
     positions = hand.positions + np.outer(0.01 * np.cos(np.pi * T), [1.0, 0.0, 0.0])
     turning = np.column_stack([2.0 * np.sin(np.pi * T), 0.0 * T, 6.0 * np.cos(np.pi * T), np.zeros((len(T), 3))])
-    (found,) = courses(
-        [
-            replace(
-                plain,
-                poses={"hand": replace(hand, positions=positions)},
-                measured=(replace(plain.measured[0], values=turning),),
-            )
-        ]
+    (found,) = features(
+        replace(
+            plain,
+            poses={"hand": replace(hand, positions=positions)},
+            measured=(replace(plain.measured[0], values=turning),),
+        )
     )
     by = {c.feature: c for c in found}
     assert [f for f in by if f.startswith("place")] == ["place 1", "place 2"]
@@ -74,7 +88,7 @@ def test_motions_and_forces_along_several_lines_have_features_along_each() -> No
 
 
 def test_what_does_not_happen_has_no_feature_that_is_no_number() -> None:
-    (found,) = courses([run("still", np.zeros(len(T)))])
+    (found,) = features(run("still", np.zeros(len(T))))
     assert all(np.isfinite(c.values).all() for c in found)
-    (without,) = courses([replace(run("still", np.zeros(len(T))), measured=())])
+    (without,) = features(replace(run("still", np.zeros(len(T))), measured=()))
     assert np.all({c.feature: c for c in without}["load"].values == 0.0)
