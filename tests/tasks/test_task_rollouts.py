@@ -63,10 +63,10 @@ def test_the_target_may_be_made_on_another_rig(tmp_path: Path) -> None:
     text = TASK.replace("REWARD", "forming").replace("rig: RIG", "rig: softer.yaml\ntarget_rig: rig.yaml")
     (tmp_path / "amended.yaml").write_text(text)
     amended = TaskRollouts(load_task(str(tmp_path / "amended.yaml")))
-    assert (amended._target["sheet"] == given._target["sheet"]).all()
+    assert (amended.target["sheet"] == given.target["sheet"]).all()
     (tmp_path / "moved.yaml").write_text(text.replace("target_rig: rig.yaml", ""))
     moved = TaskRollouts(load_task(str(tmp_path / "moved.yaml")))
-    assert np.abs(moved._target["sheet"] - given._target["sheet"]).max() > 1e-6
+    assert np.abs(moved.target["sheet"] - given.target["sheet"]).max() > 1e-6
 
 
 def test_a_force_above_the_limit_ends_the_rollout(tmp_path: Path) -> None:
