@@ -27,7 +27,7 @@ from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.report_notes import answers, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
-from sysid.diagnosis.search import ledger_with, searched
+from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.diagnosis.validation import beyond_noise, of_readings, seen_by_both
 from sysid.diagnosis.verdict import WHERE, Verdict, hidden_by_mesh, verdict_of
 from sysid.discretisation.refinement import error_sizes
@@ -115,6 +115,8 @@ def _judged(base: Baseline, fitted: Sequence[FittedSet], found: Posterior, ledge
         return replace(verdict, kind="refine_discretisation")
     if verdict.kind in ("named", "one_of") and not any(answers(one, verdict) for one in fitted):
         return replace(verdict, kind="unknown")
+    if verdict.kind in ("named", "one_of") and leaves_misfit(ledger):
+        return replace(verdict, kind="partly")
     return verdict
 
 

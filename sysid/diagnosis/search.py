@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid.comparison.explanations import UNKNOWN
 from sysid.comparison.ledger import Ledger
-from sysid.comparison.posterior import FITTED, Candidate, Compared, Posterior, compared, judged
+from sysid.comparison.posterior import FITTED, Candidate, Compared, Posterior, compared, judged, temper_of
 from sysid.comparison.priors import PRIORS
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits, Shapes
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -42,7 +42,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
                 fitted += [one for one in more if one is not None]
             continue
         wanted = _wanted(posterior, tried)[: DIAGNOSIS.fitted_together]
-        if not simulated and _leaves_misfit(found, fitted[0].ledger):
+        if not simulated and leaves_misfit(ledger_with(fitted)):
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
         wanted = [names for names in wanted if names not in tried][:room]
         if not wanted:
@@ -89,10 +89,11 @@ def _parts(
     return [part for part in parts if part[0] not in tried]
 
 
-def _leaves_misfit(found: Compared, ledger: Ledger) -> bool:
+def leaves_misfit(ledger: Ledger) -> bool:
     """Whether all columns together, where that is least, leave more than noise does."""
     chance = np.sqrt(2.0 / max(ledger.readings, 1))
-    return found.evidences[0].temper > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
+    least = min(temper_of(one) for one in (ledger, *ledger.amended))
+    return least > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
 
 
 def _simulated_best(fits: SetFits, found: Compared) -> list[tuple[str, ...]]:

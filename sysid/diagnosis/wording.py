@@ -47,9 +47,10 @@ def sentence(
     gone = f" With it {in_percent(explained)} of the misfit beyond noise is gone."
     if verdict.kind == "partly":
         named = words_of(first.effects)
+        chance = f" (probability {in_percent(verdict.unknown)})" if first.unknown else ""
         return (
-            f"It is a part of the answer that {named}. Something else is missing that no known effect describes "
-            f"(probability {in_percent(verdict.unknown)}).{gone}{shows}"
+            f"It is a part of the answer that {named}. Something else is missing that no known effect describes"
+            f"{chance}.{gone}{shows}"
         )
     if verdict.kind == "named":
         return f"The rig leaves out that {first.words} (probability {in_percent(first.probability)}).{gone}{shows}"

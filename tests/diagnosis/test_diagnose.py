@@ -44,7 +44,7 @@ def test_a_hidden_law_is_named_and_none_where_there_is_none(small_rig, tmp_path:
     out = tmp_path / "out"
     said = diagnose_bags(rig, [tmp_path / "press"], held_out=[tmp_path / "deeper"], out=out).table()
     data = json.loads((out / "diagnosis.json").read_text())
-    assert data["schema"] == "thinshell.diagnosis/2"
+    assert data["schema"] == "thinshell.diagnosis/3"
     written = {"diagnosis.json", "ledger.npz", "report.html", "rig.yaml", "amended_rig.yaml"}
     assert {f.name for f in out.iterdir()} == written | ({"next_experiment.yaml"} if effect else set())
     amended = load_rig(out / "amended_rig.yaml")

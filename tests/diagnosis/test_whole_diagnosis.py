@@ -125,7 +125,13 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
     from tests.conftest import SMALL
 
     def diagnosed(
-        law: Law, *, concealed: float = SHARE, held: float = SHARE, rig: Rig | None = None, given: int = 1
+        law: Law,
+        *,
+        concealed: float = SHARE,
+        held: float = SHARE,
+        rig: Rig | None = None,
+        given: int = 1,
+        hum: np.ndarray | float = 0.0,
     ) -> Diagnosis:
         """``given``: recordings; with more than one, none is held out."""
         monkeypatch.setattr(Sums, "law", staticmethod(law), raising=False)
@@ -137,7 +143,7 @@ def diagnose(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., D
             monkeypatch.setattr(module, "nuisance_parameters", lambda *_: [])
         monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
         names = ["press", *(f"press {k}" for k in range(2, given + 1))]
-        runs = [recording(name, 1.2 * MATERIAL + concealed * LAW, 1 + 10 * k) for k, name in enumerate(names)]
+        runs = [recording(name, 1.2 * MATERIAL + concealed * LAW + hum, 1 + 10 * k) for k, name in enumerate(names)]
         others = [recording("other", 1.2 * MATERIAL + held * LAW, 2)] if given == 1 else []
         found, _ = diagnosing.diagnose_runs(rig or gel_rig(SMALL), runs, others)
         return found
@@ -212,6 +218,18 @@ def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing"
     assert any("The baseline fit did not converge" in note for note in found.notes)
+
+
+def test_what_leaves_more_than_noise_is_a_part_of_the_answer(diagnose: Callable[..., Diagnosis]) -> None:
+    """A hum that nothing describes, too quick for anything that goes by the motion."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        return read(rig) + (0.02 * RIPPLE if fine else 0.0)
+
+    hum = 6.0 * SIGMA * np.sign(np.sin(400.0 * T))[:, None] * COLUMNS
+    found = diagnose(law, hum=hum)
+    assert found.verdict == "partly" and found.effects[0].name == "gel_relaxation", found.sentence
+    assert "Something else is missing" in found.sentence
 
 
 def test_held_out_recordings_of_which_nothing_is_in_sight_decide_nothing(diagnose: Callable[..., Diagnosis]) -> None:
