@@ -57,7 +57,7 @@ def test_recordings_follow_the_contract(strip: Path) -> None:
     for name in (*roles["training"], *roles["held_out"]):
         run = load_run(rig, strip / name)
         assert {m.channel for m in run.measured} == {*rig.sensors, *rig.cameras}
-    assert truth["effects"] == {}
+    assert truth["effects"] == []
     assert set(truth["materials"]) == {"strip.E_pa", "strip.density_kg_m3", "contacts.strip-table.friction"}
 
 
