@@ -50,8 +50,7 @@ class Baseline:
     by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
     ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
     ``together``: structured misfit of the recordings held out where one baseline is fitted to all, None where the
-    other ones alone tell; ``first``: what was known at the rig's own numbers, None where that has no part in the
-    baseline (recordings with inertia, whose time steps are chosen where it stands)."""
+    other ones alone tell."""
 
     problem: Problem
     fitted: Fitted
@@ -62,7 +61,6 @@ class Baseline:
     notes: tuple[str, ...]
     reference: Reference | None
     together: Structure | None = None
-    first: Standing | None = None
 
     @property
     def held_out(self) -> Structure | None:
@@ -75,16 +73,6 @@ class Baseline:
     def engine(self) -> SpaceMappedPredictor:
         """Predictions of the rig's model, with what the reference model adds."""
         return cast(SpaceMappedPredictor, self.problem.engine)
-
-    def at_the_rigs_numbers(self) -> tuple[Problem, Fitted]:
-        """The problem with the reference model and the errors as they are at the rig's own numbers, and the rig there,
-        not fitted, with its derivatives."""
-        problem = self.problem
-        if self.first is not None:
-            engine = SpaceMappedPredictor(self.engine.coarse, self.first.engine.added)
-            problem = Problem(problem.runs, self.noise, engine, self.first.shapes, prior=True)
-        centre, parameters = self.fitted.centre, self.fitted.parameters
-        return problem, problem.evaluate(centre, parameters, start_of(centre, parameters))
 
 
 def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
@@ -119,7 +107,6 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     if left_out:
         runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
         shapes = [replace(s, shapes=tuple(s.shapes[k] for k in fine), sight=_chosen(s.sight, fine)) for s in shapes]
-    first = None if rig.solver.inertia else replace(model, shapes=shapes)
     problem = Problem(clean, noise, model.engine, shapes, prior=True)
     tell(0.15, "baseline fit")
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
@@ -171,7 +158,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
     said = (*extent, *told, *left_out, *notes)
-    base = Baseline(problem, fitted, check, there, noise, outliers, said, reference, first=first)
+    base = Baseline(problem, fitted, check, there, noise, outliers, said, reference)
     missing = structure(problem, fitted).missing
     if not missing and base.held_out is not None and base.held_out.missing:
         tell(0.385, "one baseline for all recordings")

@@ -79,17 +79,6 @@ class Structure:
         seen = [p for p in self.parts if p.size > DIAGNOSIS.least_size]
         return any(p.beyond_discretisation for p in (*seen, _together(seen)))
 
-    @property
-    def too_small(self) -> bool:
-        """There is misfit beyond noise and the discretisation error, but none that is large enough to be seen."""
-        parts = (p for p in self.parts if p.significant and p.excess > DIAGNOSIS.discretisation_share * p.own)
-        return not self.missing and any(p.size <= DIAGNOSIS.least_size for p in parts)
-
-    @property
-    def hidden(self) -> bool:
-        """There is misfit, but none that the discretisation error could not leave."""
-        return not self.missing and (self.whole.stands_out or any(p.stands_out for p in self.parts))
-
 
 def _together(parts: Sequence[Part]) -> Part:
     size = max((p.size for p in parts), default=0.0)
@@ -209,21 +198,6 @@ def locate(problem: Problem, fitted: Fitted, answer: Fitted | None = None) -> Lo
     channels = sorted((LocatedChannel(c, q, e / whole) for (c, q), e in totals.items()), key=lambda c: -c.share)
     phase = max(phases, key=lambda k: phases[k]) if any(phases.values()) else "nowhere in particular"
     return Located(tuple(channels), windows, phase)
-
-
-def largest_change(problem: Problem, one: Fitted, other: Fitted) -> float:
-    """How much two models differ in the quantity in which they differ most, rms over a block of time, in units of what
-    a reading may be off by its noise, by mesh and time step, and as careful models are; of the second largest of the
-    blocks of all recordings."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for i, run in enumerate(problem.runs):
-        for m in run.measured:
-            change = other.predictions[i].values[m.channel] - one.predictions[i].values[m.channel]
-            ratio = np.where(np.isfinite(m.values), change / off_by(problem, i, m), np.nan)
-            for name, group in quantities(m):
-                squares, _ = _block_means(run, m, ratio[:, group] ** 2)
-                found.setdefault((m.channel, name), []).extend(_rms(squares))
-    return max((_second_largest(blocks) for blocks in found.values()), default=0.0)
 
 
 def _intervals(hot: np.ndarray, edges: np.ndarray) -> tuple[tuple[float, float], ...]:

@@ -99,11 +99,6 @@ class Expectation:
         """Predicted change at a time ``(c,)``."""
         return np.asarray(self.mean[self.row(time_s)])
 
-    def range_since(self, begin_s: float, time_s: float) -> np.ndarray:
-        """By how much the predicted change itself changes between two times ``(c,)``."""
-        rows = self.mean[self.row(begin_s) : self.row(time_s) + 1]
-        return np.asarray(np.ptp(rows, axis=0))
-
 
 def in_steps(band: Band, step_s: float | None) -> np.ndarray:
     """Error of a prediction by the steps [s] in which it was made and by the intervals of its samples ``(n, c)``."""
