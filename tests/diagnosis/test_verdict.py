@@ -10,7 +10,7 @@ import pytest
 from sim_core.rigs import load_rig
 from sysid.comparison.explanations import UNKNOWN
 from sysid.comparison.ledger import Column, Ledger, blocks_of
-from sysid.comparison.posterior import Model, Posterior
+from sysid.comparison.posterior import Model, Posterior, posterior
 from sysid.diagnosis.contradictions import contradictions
 from sysid.diagnosis.report_notes import fates
 from sysid.diagnosis.result import Located, LocatedChannel
@@ -88,8 +88,9 @@ def test_every_verdict_proposes_something() -> None:
 
 
 def ledger(mesh: float, law: float) -> Ledger:
-    """Of readings with a mesh error of ``mesh`` times its expected size, and a law of the size ``law``."""
-    shape, course = 6.0 * np.sin(3.0 * T), np.sin(3.0 * T + 0.3) * 3.0
+    """Of readings with a mesh error of ``mesh`` times its expected size, and a law of the size ``law``, which looks
+    much like it."""
+    shape, course = 6.0 * np.sin(3.0 * T), np.sin(3.0 * T + 0.02) * 6.0
     y = mesh * shape + law * course + np.random.default_rng(1).standard_normal(len(T))
     free = ("", "", {}, "size", "1", 0.0, 1.0, False)
     columns = (
@@ -102,9 +103,12 @@ def ledger(mesh: float, law: float) -> Ledger:
 
 
 def test_what_a_mesh_error_twice_as_uncertain_explains_asks_for_finer_cells() -> None:
-    """Readings that are off like the mesh, by more than is expected of it, against a law that no mesh makes up."""
-    assert hidden_by_mesh(ledger(1.0, 0.0))
-    assert not hidden_by_mesh(ledger(1.0, 6.0))
+    """Readings that are off like the mesh, by ten times what is expected of it, are most probably a law that looks like
+    it, and nothing missing with a mesh error twice as uncertain; not so where no mesh makes up for a law."""
+    assert posterior(ledger(4.0, 0.0), bags=0).nothing < 0.05
+    assert hidden_by_mesh(ledger(4.0, 0.0))
+    assert posterior(ledger(1.0, 4.0), bags=0).nothing < 0.05
+    assert not hidden_by_mesh(ledger(1.0, 4.0))
 
 
 def test_what_became_of_each_effect_is_its_probability() -> None:

@@ -232,6 +232,57 @@ def test_what_leaves_more_than_noise_is_a_part_of_the_answer(diagnose: Callable[
     assert "Something else is missing" in found.sentence
 
 
+def test_what_the_mesh_may_hide_asks_for_finer_cells(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When that is so: tests/diagnosis/test_verdict.py."""
+    monkeypatch.setattr(diagnosing, "hidden_by_mesh", lambda _: True)
+    found = diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0))
+    assert found.verdict == "refine_discretisation" and not found.effects
+    assert "Refine the mesh or the time step" in found.sentence
+    assert [c.name for c in found.alternatives] == ["gel_relaxation"]
+
+
+@pytest.mark.parametrize("lost", ["shifted", "home"])
+def test_a_fit_begins_where_one_of_its_starts_can_be_simulated(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, lost: str
+) -> None:
+    """The baseline has a stiffness of its own, 18 % above that of the rig. Simulations at both starts of the fit are
+    the first that have the law; one of them does not end."""
+    begun, submit = {"shifted": False, "home": False}, Sums.submit
+
+    def one_is_lost(engine: Sums, rig: Rig, run: Run, *rest: Any) -> Future[Prediction]:
+        start = "home" if abs(stiffness(rig)) < 0.05 else "shifted"
+        first = strength(rig) > 0.0 and not begun[start]
+        begun[start] = begun[start] or first
+        if first and start == lost:
+            future: Future[Prediction] = Future()
+            future.set_exception(ConvergenceError("It does not converge.", "Begin elsewhere."))
+            return future
+        return submit(engine, rig, run, *rest)
+
+    monkeypatch.setattr(Sums, "submit", one_is_lost)
+    assert diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0)).verdict == "named"
+    assert all(begun.values())
+
+
+def test_the_ledger_of_a_fitted_set_has_the_derivatives_where_it_stands(diagnose: Callable[..., Diagnosis]) -> None:
+    """Of a law that is quadratic in its size, and not those of where the search was before."""
+
+    def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
+        s = strength(rig)
+        return MATERIAL * (1.0 + stiffness(rig)) + (s + 3.0 * s**2) * LAW + (0.02 * RIPPLE if fine else 0.0)
+
+    found = diagnose(law, concealed=SHARE + 3.0 * SHARE**2)
+    assert found.ledger is not None and found.verdict == "named", found.sentence
+    (there,) = found.ledger.amended
+    share, tau = (k for k, c in enumerate(there.columns) if c.owner == "gel_relaxation" and c.kind == "parameter")
+    column = next(c for c in there.columns if c.kind == "parameter" and c.name.endswith("share"))
+    slope = (1.0 + 6.0 * column.at) * np.linalg.norm(LAW) / SIGMA
+    assert np.sqrt(there.gram[share, share]) == pytest.approx(slope, rel=1e-6)
+    assert there.gram[tau, tau] == 0.0, "nothing depends on it"
+
+
 def test_held_out_recordings_of_which_nothing_is_in_sight_decide_nothing(diagnose: Callable[..., Diagnosis]) -> None:
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         values = read(rig) + (0.02 * RIPPLE if fine else 0.0)

@@ -1,0 +1,126 @@
+"""Which sets of effects are fitted, on linear models in place of simulations."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
+from sysid.diagnosis.fitted_sets import SetFits
+from sysid.diagnosis.search import leaves_misfit, searched
+from sysid.settings.diagnosis import DIAGNOSIS
+
+N = 400
+T = np.linspace(0.0, 1.0, N)
+COURSES = {"lag": np.sin(7.0 * T), "drag": np.cos(9.0 * T), "creep": np.exp(-6.0 * T), "drift": T**2}
+PLACES = {"lag": "robot", "drag": "environment", "creep": "sheet", "drift": "wrench"}
+SD = 2.0
+
+
+def ledger(y: np.ndarray, fitted: dict[str, float]) -> Ledger:
+    """Of readings of unit noise, linearised where some effects have these sizes."""
+    columns, rows = [], []
+    for name, size in fitted.items():
+        columns.append(
+            Column("parameter", name, PLACES[name], AMPLITUDE, {}, "size", "N", size, 1.0, False, -size, SD, False,
+                   -np.inf, np.inf)
+        )  # fmt: skip
+        rows.append(-COURSES[name])
+    for name in COURSES.keys() - fitted.keys():
+        columns.append(
+            Column("effect", name, PLACES[name], "as it is", {}, "size", "N", 0.0, 1.0, False, 0.0, SD, False, -np.inf,
+                   np.inf)
+        )  # fmt: skip
+        rows.append(-COURSES[name])
+    left = y - sum((size * COURSES[name] for name, size in fitted.items()), np.zeros(N))
+    table = np.column_stack([*rows, left])
+    return Ledger(tuple(columns), tuple(blocks_of("run", 1.0, T, np.ones(N, dtype=bool), table, 4)), {})
+
+
+class Fits:
+    """Fits of readings that the model of the baseline sees as ``seen``, and that are ``true``."""
+
+    def __init__(self, seen: np.ndarray, true: np.ndarray) -> None:
+        self._true = true
+        self.baseline = SimpleNamespace(names=(), ledger=ledger(seen, {}))
+        self.asked: list[tuple[str, ...]] = []
+        self.simulated = 0
+
+    def _fitted(self, names: tuple[str, ...]) -> Any:
+        self.asked.append(names)
+        table = np.column_stack([COURSES[n] for n in names])
+        sizes = np.linalg.lstsq(table, self._true, rcond=None)[0]
+        return SimpleNamespace(names=names, ledger=ledger(self._true, dict(zip(names, sizes, strict=True))))
+
+    def fit(self, begun: Any, wanted: Any, temper: float) -> Any:
+        return self._fitted(tuple(sorted((*begun.names, *(name for name, _ in wanted[0])))))
+
+    def fit_without(self, begun: Any, effect: str) -> Any:
+        return self._fitted(tuple(n for n in begun.names if n != effect))
+
+    def promising(self, begun: Any, wanted: Any, temper: float, count: int) -> Any:
+        self.simulated += 1
+        left = [self._left(shapes[0][0]) for shapes in wanted]
+        return [wanted[k] for k in np.argsort(left)[:count]]
+
+    def _left(self, name: str) -> float:
+        course = COURSES[name]
+        rest = self._true - course * (course @ self._true) / (course @ course)
+        return float(rest @ rest)
+
+
+def run(seen: np.ndarray, true: np.ndarray | None = None) -> tuple[Fits, Any, list[Any]]:
+    fits = Fits(seen, seen if true is None else true)
+    fitted, posterior = searched(cast(SetFits, fits), lambda share, text: None)
+    return fits, posterior, fitted
+
+
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(N)
+
+
+def test_nothing_is_fitted_where_nothing_is_missing() -> None:
+    fits, posterior, fitted = run(noise(1))
+    assert not fits.asked and not fits.simulated and len(fitted) == 1
+    assert posterior.models[0].effects == ()
+
+
+def test_the_most_probable_effect_is_fitted_and_compared_where_it_is() -> None:
+    fits, posterior, _ = run(noise(2) + 3.0 * COURSES["lag"])
+    assert fits.asked == [("lag",)]
+    assert posterior.models[0].effects == ("lag",) and posterior.models[0].at == 1
+
+
+def test_of_a_set_of_several_effects_each_part_is_fitted() -> None:
+    """What looks like two effects along the baseline is one where it is fitted."""
+    rest = noise(3)
+    seen, true = rest + 3.0 * COURSES["lag"] + 2.0 * COURSES["creep"], rest + 3.0 * COURSES["lag"]
+    fits, posterior, _ = run(seen, true)
+    assert fits.asked[0] == ("creep", "lag")
+    assert {("lag",), ("creep",)} <= set(fits.asked)
+    assert posterior.models[0].effects == ("lag",)
+
+
+def test_two_effects_are_told_where_both_are_needed() -> None:
+    fits, posterior, _ = run(noise(4) + 3.0 * COURSES["lag"] + 2.0 * COURSES["creep"])
+    assert posterior.models[0].effects == ("creep", "lag")
+    assert len(fits.asked) <= DIAGNOSIS.fitted_sets
+
+
+def test_where_no_columns_leave_noise_alone_single_effects_are_simulated() -> None:
+    """A law whose course along the baseline is another one than where it is fitted."""
+    seen = noise(5) + 40.0 * np.sign(np.sin(60.0 * T)) + 3.0 * COURSES["drag"]
+    true = noise(5) + 6.0 * COURSES["creep"]
+    fits, posterior, fitted = run(seen, true)
+    assert leaves_misfit(fitted[0].ledger) and fits.simulated == 1
+    assert ("creep",) in fits.asked
+    assert "creep" in posterior.models[0].effects
+
+
+@pytest.mark.parametrize(("square", "left"), [(1.0, False), (1.5, True)])
+def test_misfit_that_is_left_is_more_than_chance(square: float, left: bool) -> None:
+    y = noise(6)
+    assert leaves_misfit(ledger(y * np.sqrt(square / np.mean(y**2)), {})) == left
