@@ -88,6 +88,13 @@ def test_nothing_is_fitted_where_nothing_is_missing() -> None:
     assert posterior.models[0].effects == ()
 
 
+def test_an_effect_that_is_less_probable_than_nothing_is_not_fitted() -> None:
+    """What is so weak is linear."""
+    fits, posterior, _ = run(noise(1) + 0.14 * COURSES["lag"])
+    assert posterior.models[0].effects == () and posterior.inclusion["lag"] > DIAGNOSIS.fitted_share
+    assert not fits.asked
+
+
 def test_the_most_probable_effect_is_fitted_and_compared_where_it_is() -> None:
     fits, posterior, _ = run(noise(2) + 3.0 * COURSES["lag"])
     assert fits.asked == [("lag",)]

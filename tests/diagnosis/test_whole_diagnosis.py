@@ -247,23 +247,21 @@ def test_what_the_mesh_may_hide_asks_for_finer_cells(
 def test_a_fit_begins_where_one_of_its_starts_can_be_simulated(
     diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, lost: str
 ) -> None:
-    """The baseline has a stiffness of its own, 18 % above that of the rig. Simulations at both starts of the fit are
-    the first that have the law; one of them does not end."""
-    begun, submit = {"shifted": False, "home": False}, Sums.submit
+    """The baseline has a stiffness of its own, 18 % above that of the rig. With the law, simulations at one of the two
+    do not end before one at the other has."""
+    begun, submit = [False], Sums.submit
 
     def one_is_lost(engine: Sums, rig: Rig, run: Run, *rest: Any) -> Future[Prediction]:
         start = "home" if abs(stiffness(rig)) < 0.05 else "shifted"
-        first = strength(rig) > 0.0 and not begun[start]
-        begun[start] = begun[start] or first
-        if first and start == lost:
+        if strength(rig) > 0.0 and start == lost and not begun[0]:
             future: Future[Prediction] = Future()
             future.set_exception(ConvergenceError("It does not converge.", "Begin elsewhere."))
             return future
+        begun[0] = begun[0] or strength(rig) > 0.0
         return submit(engine, rig, run, *rest)
 
     monkeypatch.setattr(Sums, "submit", one_is_lost)
     assert diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0)).verdict == "named"
-    assert all(begun.values())
 
 
 def test_the_ledger_of_a_fitted_set_has_the_derivatives_where_it_stands(diagnose: Callable[..., Diagnosis]) -> None:
