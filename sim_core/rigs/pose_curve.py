@@ -172,7 +172,8 @@ def _misses(times: FloatArray, values: FloatArray, at: np.ndarray, others: np.nd
 
 def _spline(times: FloatArray, values: FloatArray, sigma: float, drawn: np.random.Generator | None) -> FloatArray:
     """Coefficients ``(4, n - 1, m)`` of the cubic spline through samples ``(n, m)``, of positions or quaternions, or
-    near those with noise ``sigma`` in each of three directions."""
+    near those with noise ``sigma`` in each of three directions: where samples are many, with that which they show along
+    each of their principal axes."""
     from scipy.interpolate import CubicSpline
 
     if sigma <= 0.0:
@@ -184,10 +185,11 @@ def _spline(times: FloatArray, values: FloatArray, sigma: float, drawn: np.rando
         along = values @ axis
         # The noise of a quaternion is at right angles to it.
         across = 1.0 - float(np.mean(along**2)) if values.shape[1] == 4 else 1.0
-        weight = smoothing.weight(along, sigma * np.sqrt(max(across, 0.0)))
+        mine = sigma * np.sqrt(max(across, 0.0)) if len(along) < 4 * FEWEST else float(_noise_along(along[:, None])[0])
+        weight = smoothing.weight(along, mine)
         near = along - smoothing.off(along, weight)
         if drawn is not None:
-            near = near + sigma * smoothing.draw(1, weight, drawn)[:, 0]
+            near = near + mine * smoothing.draw(1, weight, drawn)[:, 0]
         parts.append(CubicSpline(times, near, bc_type="natural" if weight > 0.0 else "not-a-knot").c)
     return np.asarray(np.stack(parts, axis=-1) @ axes)
 
@@ -257,20 +259,26 @@ class _Smoothing:
 
 
 def noise_of(times: FloatArray, positions: FloatArray, quaternions: FloatArray) -> FloatArray:
-    """Standard deviations of the noise of samples: positions [m] and turns [rad] of one axis, ``(2,)``.
-
-    From the median of the differences of fourth, sixth and eighth order, of which noise has an equal share (their sums
-    of squared weights are 70, 924 and 12870) and motion ever less; of components that never change there is none.
-    """
+    """Standard deviations of the noise of samples: positions [m] and turns [rad] of one axis, ``(2,)``; of components
+    that never change there is none."""
     if len(times) < 4 * FEWEST:
         return np.zeros(2)
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_quat(quaternions)
     relative = (turns[:-1].inv() * turns[1:]).as_rotvec()
-    sigma = np.full(2, np.inf)
-    for order, weights in ((4, 70.0), (6, 924.0), (8, 12870.0)):
-        parts = (np.diff(positions, n=order, axis=0), np.diff(relative, n=order - 1, axis=0))
-        medians = [np.sqrt(np.mean(np.median(np.abs(d), axis=0) ** 2)) for d in parts]
-        sigma = np.minimum(sigma, 1.4826 * np.array(medians) / np.sqrt(weights))
-    return sigma
+    found = (_noise_along(positions), _noise_along(relative, 1))
+    return np.array([np.sqrt(np.mean(sigma**2)) for sigma in found])
+
+
+def _noise_along(values: FloatArray, differences: int = 0) -> FloatArray:
+    """Standard deviation ``(m,)`` of the noise of samples ``(n, m)``, or of those of which they are ``differences``.
+
+    From the median of the differences of fourth, sixth and eighth order, of which noise has an equal share (their sums
+    of squared weights are 70, 924 and 12870) and motion ever less.
+    """
+    found = [
+        np.median(np.abs(np.diff(values, n=order - differences, axis=0)), axis=0) / np.sqrt(weights)
+        for order, weights in ((4, 70.0), (6, 924.0), (8, 12870.0))
+    ]
+    return np.asarray(1.4826 * np.min(found, axis=0))

@@ -19,10 +19,9 @@ from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.diagnosis.beliefs import believed, open_parameters
 from sysid.diagnosis.fits import fit_within
-from sysid.diagnosis.held_out import PARAMETERS_ALONE, held_out_problem, held_out_together
-from sysid.diagnosis.predictability import unpredictable, without
+from sysid.diagnosis.held_out import as_predicted, held_out_problem
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
-from sysid.diagnosis.residual_analysis import Structure, structure
+from sysid.discretisation.approximations import refinement_errors
 from sysid.discretisation.coarser_cells import coarsened
 from sysid.discretisation.followed_model import follows
 from sysid.discretisation.time_steps import predicted_with_steps, shorter_throughout
@@ -33,10 +32,10 @@ from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.estimate import channel_noise, column_groups, quantities
+from sysid.noise.estimate import channel_noise
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.solve.discretisation_basis import MODEL, ErrorShape
+from sysid.solve.named_errors import NamedErrors
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
@@ -48,9 +47,7 @@ Tell = Callable[[float, str], None]
 class Baseline:
     """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
     by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
-    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
-    ``together``: structured misfit of the recordings held out where one baseline is fitted to all, None where the
-    other ones alone tell."""
+    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none."""
 
     problem: Problem
     fitted: Fitted
@@ -60,14 +57,6 @@ class Baseline:
     outliers: list[Outliers]
     notes: tuple[str, ...]
     reference: Reference | None
-    together: Structure | None = None
-
-    @property
-    def held_out(self) -> Structure | None:
-        """Structured misfit of the recordings held out, None without any."""
-        if self.together is not None or self.there is None:
-            return self.together
-        return structure(self.check, self.there)
 
     @property
     def engine(self) -> SpaceMappedPredictor:
@@ -102,30 +91,25 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     model = stands(start, own, added)
     clean, _ = without_outliers(runs, model.plain, noise)
     noise = channel_noise(rig, clean, held_out)
-    shapes = model.shapes
-    fine, left_out = fine_enough(clean, shapes, noise)
-    if left_out:
-        runs, clean = [runs[k] for k in fine], [clean[k] for k in fine]
-        shapes = [replace(s, shapes=tuple(s.shapes[k] for k in fine), sight=_chosen(s.sight, fine)) for s in shapes]
-    problem = Problem(clean, noise, model.engine, shapes, prior=True)
+
+    def problem_of(clean: Sequence[Run]) -> Problem:
+        return Problem(clean, noise, model.engine, prior=True, named=refinement_errors(model.refined))
+
+    problem = problem_of(clean)
     tell(0.15, "baseline fit")
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
     again, _ = without_outliers(runs, fitted.predictions, noise)
     if worth_another_fit(clean, again):
-        clean = again
-        problem = Problem(clean, noise, model.engine, shapes, prior=True)
+        problem = problem_of(again)
         fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, fitted.scaled)
     shorter = None
     if rig.solver.inertia:
-        runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise)
-        told = (*told, *undecided)
+        runs, shorter = _shorter_steps(engine, problem, fitted, runs, noise)
     if shorter is not None:
         tell(0.2, "baseline fit with shorter time steps")
         model = stands(fitted.scaled, shorter)
-        clean, _ = without_outliers(runs, model.plain, noise)
-        shapes = model.shapes
-        problem = Problem(clean, noise, model.engine, shapes, prior=True)
+        problem = problem_of(without_outliers(runs, model.plain, noise)[0])
         start = fitted.scaled
         fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     elsewhere = None
@@ -145,10 +129,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     try:
         if elsewhere is not None or far:
             model = stands(fitted.scaled, sparing.predict_all(rig, runs, parameters, fitted.scaled))
-            shapes = model.shapes
     except ThinshellError as error:
         unknown = f"it stands where its discretisation error is not known. {error}"
-    problem = Problem(clean, noise, model.engine, shapes, prior=True)
+    problem = problem_of(clean)
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, rig, parameters, fitted.scaled)
     if unknown:
         fitted.converged, fitted.message = False, unknown
@@ -157,88 +140,30 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
-    said = (*extent, *told, *left_out, *notes)
-    base = Baseline(problem, fitted, check, there, noise, outliers, said, reference)
-    missing = structure(problem, fitted).missing
-    if not missing and base.held_out is not None and base.held_out.missing:
-        tell(0.385, "one baseline for all recordings")
-        together = held_out_together(problem, check, fitted, sparing)
-        missing = together is None
-        if together is not None:
-            base = replace(base, together=together, notes=(*base.notes, PARAMETERS_ALONE))
-    return _where_predictable(base, sparing, tell) if missing else base
+    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *notes), reference)
 
 
-def _off(problem: Problem, fitted: Fitted) -> list[int]:
-    """Numbers of the recordings that a model misses by more than noise and what it may be off."""
-    parts = iter(structure(problem, fitted).parts)
-    found = []
-    for k, run in enumerate(problem.runs):
-        mine = [next(parts) for m in run.measured for _ in column_groups(m)]
-        if any(p.beyond_discretisation for p in mine):
-            found.append(k)
-    return found
-
-
-def _where_predictable(base: Baseline, sparing: SparingPredictor, tell: Tell) -> Baseline:
-    """The baseline fitted again without what is unpredictable (:mod:`sysid.diagnosis.predictability`).
-
-    ``sparing``: with the derivatives of the last search.
-    """
-    tell(0.39, "where recordings can be predicted")
-    model = base.fitted
-    pairs = [(base.problem, model)] + ([(base.check, base.there)] if base.there is not None else [])
-    off = [(there, k) for there, fitted in pairs for k in _off(there, fitted)]
-    everything = [there.runs[k] for there, k in off]
-    refined = [
-        {m.channel: [d.shapes[k][m.channel] for d in there.error_shapes if d.label != MODEL] for m in run.measured}
-        for (there, k), run in zip(off, everything, strict=True)
-    ]
-    added = {**base.engine.added, **cast(SpaceMappedPredictor, base.check.engine).added}
-    engine = SpaceMappedPredictor(base.engine.coarse, added)
-    given = [model.predictions[k] for there, k in off if there is base.problem]
-    others = [run for run, (there, _) in zip(everything, off, strict=True) if there is not base.problem]
-    derived = [*given, *engine.predict_all(model.centre, others, model.parameters, model.scaled)]
-    found = unpredictable(engine, everything, model, base.noise, derived, refined)
-    if not found:
-        return base
-    notes = (*base.notes, *(u.sentence for u in found))
-    runs, again = without(base.problem.runs, found), SpaceMappedPredictor(sparing, base.engine.added)
-    problem = Problem(runs, base.noise, again, base.problem.error_shapes, prior=True)
+def beside_all_errors(base: Baseline, named: NamedErrors) -> Baseline:
+    """The baseline fitted on beside all named errors, of which it had those of mesh and time step alone."""
+    problem, model = base.problem.beside(named), base.fitted
+    problem.engine = SparingPredictor(base.engine)
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, model.centre, model.parameters, model.scaled)
     problem.engine = base.engine
-    check = Problem(without(base.check.runs, found), base.noise, base.check.engine, base.check.error_shapes)
+    if not model.converged:
+        fitted.converged, fitted.message = False, model.message
+    fitted = with_own_derivatives(problem, fitted)
+    check = as_predicted(base.check, fitted)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    return replace(base, problem=problem, fitted=fitted, check=check, there=there, notes=notes)
+    return replace(base, problem=problem, fitted=fitted, check=check, there=there)
 
 
-def fine_enough(
-    runs: Sequence[Run], shapes: Sequence[ErrorShape], noise: dict[str, ChannelNoise]
-) -> tuple[list[int], tuple[str, ...]]:
-    """Numbers of the recordings that mesh and time step can follow, and a sentence for each other one, which would only
-    be fitted by what makes up for the discretisation error. Where there is none, all are kept."""
-    kept, said = list(range(len(runs))), []
-    for k, run in enumerate(runs):
-        for m in run.measured:
-            errors = [s.shapes[k][m.channel] for s in shapes if s.label != MODEL]
-            whole = np.where(np.isfinite(m.values), np.sum(errors, axis=0), np.nan)
-            for name, group in quantities(m):
-                seen = whole[:, group][:, np.isfinite(whole[:, group]).any(axis=0)]
-                if not seen.size or k not in kept:
-                    continue
-                ratio = float(np.nanmedian(np.abs(seen)) / np.median(noise[m.channel].sigma[group]))
-                if ratio > DIAGNOSIS.too_coarse_ratio:
-                    kept.remove(k)
-                    said.append(
-                        f"{run.name} weighs nothing: the error of mesh and time step in the {name} of {m.channel} is "
-                        f"{ratio:.0f} times the noise most of the time, more than {DIAGNOSIS.too_coarse_ratio:g} "
-                        "times. Use finer cells or a shorter solver.dt_s to ask it."
-                    )
-    return (kept, tuple(said)) if kept else (list(range(len(runs))), ())
-
-
-def _chosen(items: tuple[dict[str, np.ndarray], ...], numbers: Sequence[int]) -> tuple[dict[str, np.ndarray], ...]:
-    return tuple(items[k] for k in numbers) if items else ()
+def with_own_derivatives(problem: Problem, fitted: Fitted) -> Fitted:
+    """The model with derivatives that are made where it stands: those of a search are carried over from where it was
+    (:mod:`sysid.model.sparing_predictor`), and evidence hangs on them."""
+    predictions = problem.engine.predict_all(fitted.centre, problem.runs, fitted.parameters, fitted.scaled)
+    found = problem.compare(predictions, fitted.centre, fitted.parameters, fitted.scaled)
+    found.converged, found.message = fitted.converged, fitted.message
+    return found
 
 
 def best_branch(engine: AnyEngine, problem: Problem, fitted: Fitted) -> np.ndarray | None:
@@ -300,29 +225,19 @@ def _is_far(fitted: Fitted) -> bool:
 
 def _shorter_steps(
     engine: AnyEngine, problem: Problem, fitted: Fitted, runs: Sequence[Run], noise: dict[str, ChannelNoise]
-) -> tuple[list[Run], list[Prediction] | None, tuple[str, ...]]:
-    """The runs with shorter steps, their predictions where a search stands, None where no step is shorter, and in words
-    where that cannot be told. A recording that follows the steps of the rig keeps them, since it may be a simulation
-    with these, and so does one that follows neither, as where a strip snaps, or of which too much is not explained."""
+) -> tuple[list[Run], list[Prediction] | None]:
+    """The runs with shorter steps, and their predictions where a search stands, None where no step is shorter. A
+    recording that follows the steps of the rig keeps them, since it may be a simulation with these."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-    found, told = list(runs), []
+    found = list(runs)
     shorter, there = shorter_throughout(engine, rigs, runs, noise)
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
     for k, prediction in enumerate(there):
-        if shorter[k] is runs[k]:
-            continue
-        share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
-        if share.surely_refines:
+        follow = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
+        if shorter[k] is not runs[k] and follow.refines:
             found[k] = shorter[k]
-        elif share.refines:
-            told.append(
-                f"{runs[k].name} keeps the time steps of the rig: its readings change with shorter ones, but so much "
-                "of it is not explained that it cannot tell which it follows "
-                f"({share.value:.2g} +- {share.robust_sd:.2g} of the way to halved steps). Repeat the "
-                "diagnosis with half the solver.dt_s to see what depends on it."
-            )
     if all(a is b for a, b in zip(found, runs, strict=True)):
-        return found, None, tuple(told)
+        return found, None
     # Those of the fit hold what a reference model adds, which is added to these later.
     again = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is not shorter[k]}
-    return found, [again[k].result() if k in again else there[k] for k in range(len(runs))], tuple(told)
+    return found, [again[k].result() if k in again else there[k] for k in range(len(runs))]

@@ -37,6 +37,7 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.optimum import Fitted
 from sysid.uncertainty.goodness_of_fit import no_success
 
@@ -65,6 +66,7 @@ def diagnose_runs(
         base = fit_baseline(engine, rig, runs, held_out, tell)
         tell(0.42, "a look at all effects")
         fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
+        base = fits.base
         fitted, found = searched(fits, lambda share, text: tell(0.55 + 0.4 * share, text))
         tell(0.97, "report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
@@ -97,9 +99,9 @@ def ledger_of(
 
 
 def _missed_there(base: Baseline, before: Misfit) -> str:
-    """That recordings held out are missed by far by a baseline that was not fitted to them, though it may be; else
-    empty."""
-    if base.there is None or base.together is not None:
+    """That recordings held out are missed by far by a baseline that was not fitted to them, beside all that it leaves
+    open of them; else empty."""
+    if base.there is None or base.there.misfit <= UNCERTAINTY.failed_noise_multiple**2:
         return ""
     return no_success(missed_multiples(before.errors, True), ())
 
@@ -194,10 +196,9 @@ def _places(verdict: Verdict) -> tuple[UnreliablePlace, ...]:
 def _misfit(base: Baseline, fitted: Fitted, there: Fitted | None) -> Misfit:
     """Misfit of a model, with the errors of the baseline beside its own."""
     both = seen_by_both(base.check, base.there, there)
-    own = error_sizes(base.problem)
-    errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=own)
+    errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=error_sizes(base.problem))
     if base.there is not None and there is not None:
-        errors += rms_errors(base.check, base.there, there, held_out=True, own=own)
+        errors += rms_errors(base.check, base.there, there, held_out=True, own=error_sizes(base.check))
     return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
 
 

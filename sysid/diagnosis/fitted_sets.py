@@ -17,11 +17,10 @@ from sim_core.effects import RecordingScales
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.comparison.ledger import Ledger
-from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.baseline import Baseline, beside_all_errors, with_own_derivatives
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.look import Look, look
-from sysid.diagnosis.predictability import predicted_held_out
 from sysid.diagnosis.reference_model import added_at
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
@@ -30,7 +29,6 @@ from sysid.model.sparing_predictor import SparingPredictor
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.solve import SOLVE
 from sysid.solve.optimum import Fitted
-from sysid.solve.residuals import Problem
 
 Shapes = tuple[tuple[str, str], ...]
 """Effects, each with the label of one of its shapes in a ledger."""
@@ -77,13 +75,18 @@ class SetFits:
     tried."""
 
     def __init__(self, base: Baseline, scales: RecordingScales, shapes: Sequence[Hypothesis] = ()) -> None:
-        self._base, self._scales = base, scales
         approximations = Approximations(base.engine, base.fitted, base.problem)
         wanted = [*hypotheses(base.fitted.rig, scales), *shapes]
         self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
+        self._base, self._scales = beside_all_errors(base, self._responses.named), scales
         self.failed = dict(self._responses.failed)
-        plain = replace(base.fitted, predictions=self._responses.at_the_baseline)
-        self.baseline = FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, plain))
+        base = self._base
+        self.baseline = FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
+
+    @property
+    def base(self) -> Baseline:
+        """The baseline beside all named errors."""
+        return self._base
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""
@@ -129,26 +132,18 @@ class SetFits:
             if base.reference is not None:
                 problem.engine = self._engine_at(fitted)
                 fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, fitted.scaled)
+            problem.engine = base.engine if base.reference is None else problem.engine
             if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
                 self.failed[name] = "it moves readings out of sight"
                 return None
-            fitted = self._with_own_derivatives(problem, fitted)
+            fitted = with_own_derivatives(problem, fitted)
             whole = (*before, *start.hypotheses)
             seen = self._responses.look_at(problem, fitted, whole)
-            there = predicted_held_out(base.check, base.there, fitted)
+            there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
         except ThinshellError as error:
             self.failed[name] = f"could not be simulated: {error}"
             return None
         return FittedSet(whole, fitted, there, seen)
-
-    def _with_own_derivatives(self, problem: Problem, fitted: Fitted) -> Fitted:
-        """The model with derivatives that are made where it stands: those of a search are carried over from where it
-        was (:mod:`sysid.model.sparing_predictor`), and the evidence of a set hangs on them."""
-        engine = self._base.engine if self._base.reference is None else problem.engine
-        predictions = engine.predict_all(fitted.centre, problem.runs, fitted.parameters, fitted.scaled)
-        found = problem.compare(predictions, fitted.centre, fitted.parameters, fitted.scaled)
-        found.converged, found.message = fitted.converged, fitted.message
-        return found
 
     def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
         """Predictions with what the reference model adds where a model stands."""

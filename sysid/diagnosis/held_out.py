@@ -1,36 +1,34 @@
-"""Recordings that the baseline is not fitted to: what it predicts of them, and what that says."""
+"""Recordings that the baseline is not fitted to: what it predicts of them, and how well that is known.
+
+A prediction is as uncertain as the parameters that it is made with: their posterior, with nuisance parameters of the
+recordings at their priors, is a named error of these, along derivatives. To which side a strip snaps is no matter of
+derivatives, and hangs on less than recordings can tell: what a few draws of the parameters change is another one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from sim_core.errors import ThinshellError
-from sysid.diagnosis.beliefs import believed, open_parameters
-from sysid.diagnosis.fits import fit_within
-from sysid.diagnosis.reference_model import Reference, standing
-from sysid.diagnosis.residual_analysis import Structure, structure
+from sysid.diagnosis.reference_model import Reference, Standing, standing
+from sysid.discretisation.approximations import refinement_errors
 from sysid.discretisation.time_steps import predicted_with_steps
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
-from sysid.model.parameters import fit_parameters, start_of
+from sysid.model.parameters import rig_in, start_of
 from sysid.model.prediction_source import AnyEngine
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.windows import not_from_rest
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.solve.covariance import uncertainty
 from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.named_errors import NamedError, NamedErrors
 from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import without_outliers
 from sysid.solve.residuals import Problem
-
-PARAMETERS_ALONE = (
-    "What the baseline misses in recordings held out goes where it is fitted to them as well: the recordings given do "
-    "not determine its parameters well enough to predict them."
-)
 
 
 def held_out_problem(
@@ -42,7 +40,7 @@ def held_out_problem(
 ) -> tuple[Problem, tuple[str, ...]]:
     """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
     kept: list[Run] = []
-    shapes: list[list[ErrorShape]] = []
+    found: list[Standing] = []
     lost: list[str] = []
     added: dict[str, Mapping[str, np.ndarray]] = {}
     for given in held_out:
@@ -56,46 +54,60 @@ def held_out_problem(
             run, own = predicted_with_steps(engine, [fitted.rig], [given], noise)
             model = standing(engine, reference, [fitted.rig], run, own)
             kept += without_outliers(run, model.plain, noise)[0]
-            shapes.append(model.shapes)
+            found.append(model)
             added.update(model.engine.added)
         except ThinshellError as error:
             lost.append(f"{given.name} is left out, it could not be simulated: {error}")
-    together = [
+    shapes = _of_all([model.refined for model in found])
+    return Problem(kept, noise, SpaceMappedPredictor(engine, added), named=refinement_errors(shapes)), tuple(lost)
+
+
+def _of_all(shapes: Sequence[Sequence[ErrorShape]]) -> list[ErrorShape]:
+    """Error shapes of several recordings from those of each."""
+    return [
         replace(first, shapes=tuple(s[k].shapes[0] for s in shapes), sight=tuple(x for s in shapes for x in s[k].sight))
-        for k, first in enumerate(shapes[0])
-    ] if shapes else []  # fmt: skip
-    return Problem(kept, noise, SpaceMappedPredictor(engine, added), together), tuple(lost)
-
-
-def held_out_together(given: Problem, others: Problem, fitted: Fitted, engine: AnyEngine) -> Structure | None:
-    """Structured misfit of the recordings held out (``others``) beside one baseline for all; None where misfit stays in
-    any of them, and where there is no such fit. ``fitted``: the baseline of the recordings ``given``; ``engine``: of
-    the rig's own model.
-
-    What a baseline predicts of recordings that it was not fitted to is off by what is not known of its parameters, and
-    by their own clocks. Misfit that goes where they are fitted as well, beside the others and within what is known of
-    all, is that, and no missing physics.
-    """
-    labels = [[s.label for s in problem.error_shapes] for problem in (given, others)]
-    if labels[0] != labels[1]:
-        return None
-    runs = [*given.runs, *others.runs]
-    shapes = [
-        replace(a, shapes=(*a.shapes, *b.shapes), sight=(*a.sight, *b.sight) if a.sight and b.sight else ())
-        for a, b in zip(given.error_shapes, others.error_shapes, strict=True)
+        for k, first in enumerate(shapes[0] if shapes else ())
     ]
-    added = {k: v for p in (given, others) for k, v in cast(SpaceMappedPredictor, p.engine).added.items()}
-    problem = Problem(runs, given.noise, SpaceMappedPredictor(engine, added), shapes, prior=True)
-    parameters = believed(fitted.centre, fit_parameters(fitted.centre, open_parameters(fitted.centre)))
-    parameters += nuisance_parameters(fitted.centre, runs, parameters, KINDS)
-    known = dict(zip((p.name for p in fitted.parameters), fitted.scaled, strict=True))
-    start = [known.get(p.name, at) for p, at in zip(parameters, start_of(fitted.rig, parameters), strict=True)]
-    try:
-        found = fit_within(problem, DIAGNOSIS.held_out_evaluations, fitted.centre, parameters, np.array(start))
-    except ThinshellError:
-        return None
-    whole = structure(problem, found)
-    if whole.missing:
-        return None
-    names = {run.name for run in others.runs}
-    return Structure(tuple(part for part in whole.parts if part.run in names))
+
+
+def as_predicted(check: Problem, fitted: Fitted) -> Problem:
+    """The problem of recordings held out beside what a fit leaves open of their prediction."""
+    if not check.runs or check.named is None or not fitted.parameters:
+        return check
+    shared = [k for k, p in enumerate(fitted.parameters) if not p.bag]
+    asked = [fitted.parameters[k] for k in shared]
+    own = [p for p in nuisance_parameters(fitted.rig, check.runs, asked, KINDS) if p.bag]
+    parameters = [*asked, *own]
+    at = np.concatenate([fitted.scaled[shared], start_of(fitted.rig, own)])
+    known = uncertainty(fitted)
+    covariance = np.zeros((len(parameters), len(parameters)))
+    n = len(shared)
+    covariance[:n, :n] = (known.sd[:, None] * known.correlation * known.sd)[np.ix_(shared, shared)]
+    covariance[np.arange(n, len(at)), np.arange(n, len(at))] = [p.prior_sd**2 for p in own]
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    limits = np.array([p.scaled_bounds for p in parameters]).T
+    rng = np.random.default_rng(0)
+    draws = [np.clip(at + root @ z, *limits) for z in rng.standard_normal((DIAGNOSIS.drawn_predictions, len(at)))]
+    rigs = [[rig_in(fitted.rig, parameters, scaled, run.name) for run in check.runs] for scaled in draws]
+    jobs = [[check.engine.submit(rig, run) for rig, run in zip(row, check.runs, strict=True)] for row in rigs]
+    here = check.engine.predict_all(fitted.rig, check.runs, parameters, at)
+    shapes = []
+    for k, (run, p) in enumerate(zip(check.runs, here, strict=True)):
+        found = {m.channel: [np.nan_to_num(p.derivatives[m.channel]) @ root] for m in run.measured}
+        for row in jobs:
+            try:
+                other = row[k].result()
+            except ThinshellError:
+                continue
+            for m in run.measured:
+                found[m.channel].append(np.nan_to_num(other.values[m.channel] - p.values[m.channel])[..., None])
+        shapes.append({c: np.concatenate(parts, axis=-1) for c, parts in found.items()})
+    count = max(s.shape[-1] for run in shapes for s in run.values())
+    named = check.named
+    columns = (*named.columns, *(NamedError("prediction", f"direction {k + 1}", 0.0, 1.0) for k in range(count)))
+    whole = []
+    for mine, more in zip(named.shapes, shapes, strict=True):
+        wide = {c: np.pad(s, ((0, 0), (0, 0), (0, count - s.shape[-1]))) for c, s in more.items()}
+        whole.append({c: np.concatenate([s, wide[c]], axis=-1) for c, s in mine.items()})
+    return check.beside(NamedErrors(columns, tuple(whole), named.refined, named.instant))

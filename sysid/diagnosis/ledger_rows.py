@@ -1,7 +1,6 @@
 """Whitened rows of recordings, and what a ledger has beside a look at effects: closures and named approximations.
 
-The error of mesh, time step, contact and poses are columns of a ledger, with priors; of errors that are eliminated
-beforehand only that is left which careful models differ in without a name (:mod:`sysid.diagnosis.model_tolerance`).
+The error of mesh, time step, contact and poses are columns of a ledger, with the priors that they have in fits.
 """
 
 from __future__ import annotations
@@ -13,9 +12,10 @@ import numpy as np
 
 from sysid.comparison import ledger
 from sysid.diagnosis.closures import Closure
-from sysid.discretisation.approximations import POSES, Approximation, Approximations, principal
+from sysid.discretisation.approximations import Approximations, of_instants, principal
 from sysid.model.predictor import Prediction
-from sysid.solve.discretisation_basis import MODEL
+from sysid.model.responses import Modulated
+from sysid.solve.named_errors import NamedError, NamedErrors
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -37,7 +37,7 @@ class Free:
     recording and time."""
 
     closures: tuple[Closure, ...]
-    approximations: tuple[Approximation, ...]
+    approximations: tuple[NamedError, ...]
     blocks: tuple[ledger.Block, ...]
 
     @property
@@ -87,29 +87,44 @@ def rows_of(
     return [Rows(assembled.jacobian[m], assembled.residual[m], instants[m], readings[m]) for m in masks]
 
 
+def named_errors(
+    problem: Problem,
+    base: Fitted,
+    predictions: Sequence[Prediction],
+    drawn: np.ndarray,
+    shifted: np.ndarray,
+    motions: Sequence[Sequence[Modulated]],
+    approximations: Approximations,
+) -> NamedErrors:
+    """All named errors of a problem, those of its poses among them, where a model is fitted. ``drawn``, ``shifted``:
+    numbers of the derivatives by motions that the noise of poses leaves open, and by offsets of the hands that stay;
+    ``motions``: the former, by recording."""
+    none = [{m.channel: np.zeros((*m.values.shape, 0)) for m in run.measured} for run in problem.runs]
+    rows = rows_of(Problem(problem.runs, problem.noise, problem.engine, prior=True), base, predictions, drawn, none)
+    kept = [principal(r.jacobian) for r in rows]
+    open_, instant = [], []
+    for run, p, directions, moved in zip(problem.runs, predictions, kept, motions, strict=True):
+        found = {m.channel: np.nan_to_num(p.derivatives[m.channel]) for m in run.measured}
+        open_.append({c: d[..., drawn] @ directions for c, d in found.items()})
+        if moved:
+            instant.append({m.channel: of_instants(m.t, moved, found[m.channel][..., shifted]) for m in run.measured})
+    return approximations.with_motions(problem.runs, open_, [d.shape[1] for d in kept], instant)
+
+
 def free_of(
     problem: Problem,
     base: Fitted,
     predictions: Sequence[Prediction],
     index: np.ndarray,
-    drawn: np.ndarray,
     closures: Sequence[Closure],
-    approximations: Approximations,
 ) -> Free:
     """Closures, approximations and blocks of the ledger of a problem. ``index``: of the derivatives by parameters,
-    effects and closures; ``drawn``: of those by motions that the noise of poses leaves open."""
-    unnamed = [d for d in problem.error_shapes if d.label == MODEL]
-    plain = Problem(problem.runs, problem.noise, problem.engine, unnamed, prior=True)
-    rows = rows_of(plain, base, predictions, np.concatenate([index, drawn]), approximations.shapes)
-    first, last = len(index), len(index) + len(drawn)
-    poses = [principal(r.jacobian[:, first:last]) for r in rows]
-    named = list(approximations.columns)
-    for run, open_ in zip(problem.runs, poses, strict=True):
-        named += [Approximation(POSES, f"{run.name}, direction {k + 1}", 0.0, 1.0) for k in range(open_.shape[1])]
-    ends, blocks = np.cumsum([0, *(p.shape[1] for p in poses)]), []
-    for k, (run, r) in enumerate(zip(problem.runs, rows, strict=True)):
-        own = np.zeros((len(r.residual), ends[-1]))
-        own[:, ends[k] : ends[k + 1]] = poses[k]
-        table = np.column_stack([r.jacobian[:, :first], r.jacobian[:, last:], own, r.residual])
+    effects and closures."""
+    named, blocks = problem.named, []
+    assert named is not None
+    plain = Problem(problem.runs, problem.noise, problem.engine, prior=True, named=named.instant_alone)
+    rows = rows_of(plain, base, predictions, index, named.shapes)
+    for run, r in zip(problem.runs, rows, strict=True):
+        table = np.column_stack([r.jacobian, r.residual])
         blocks += ledger.blocks_of(run.name, run.end, r.times, r.readings, table)
-    return Free(tuple(closures), tuple(named), tuple(blocks))
+    return Free(tuple(closures), named.columns, tuple(blocks))

@@ -18,12 +18,13 @@ from sysid.comparison.evidence import PLAIN
 from sysid.comparison.ledger import AMPLITUDE, SHAPE, Column, Ledger
 from sysid.diagnosis.candidates import Hypothesis
 from sysid.diagnosis.closures import Closure, Closures
-from sysid.diagnosis.ledger_rows import Free, free_of
+from sysid.diagnosis.ledger_rows import Free, free_of, named_errors
 from sysid.diagnosis.slots import place_of
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import FitParameter
 from sysid.model.prediction_source import Responding
 from sysid.model.predictor import Prediction
+from sysid.solve.named_errors import NamedErrors
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -70,28 +71,19 @@ def label_of(hypothesis: Hypothesis, among: Sequence[Hypothesis]) -> str:
 @dataclass(frozen=True)
 class Responses:
     """What a look has found where the baseline stands: ``predictions`` of the recordings whose derivatives are those by
-    the parameters ``(shared)``, by the amplitudes of the hypotheses ``kept``, by drawn motions and by closures, at
-    numbers ``own``, ``drawn`` and ``closed``; ``failed``: why hypotheses could not be simulated, by effect.
+    the parameters ``(shared)``, by the amplitudes of the hypotheses ``kept`` and by closures, at numbers ``own`` and
+    ``closed``; ``named``: errors of approximations; ``failed``: why hypotheses could not be simulated, by effect.
 
-    Columns other than those by parameters are taken for the same where the rig is fitted with a set of effects."""
+    Columns other than those by parameters are taken for the same wherever a model is fitted afterwards."""
 
     predictions: list[Prediction]
     shared: int
     kept: tuple[Hypothesis, ...]
     own: np.ndarray
-    drawn: np.ndarray
     closed: np.ndarray
     closures: tuple[Closure, ...]
-    approximations: Approximations
+    named: NamedErrors
     failed: dict[str, str]
-
-    @property
-    def at_the_baseline(self) -> list[Prediction]:
-        """The predictions with their derivatives by parameters alone."""
-        return [
-            Prediction(p.values, {c: d[..., : self.shared] for c, d in p.derivatives.items()}, p.trace)
-            for p in self.predictions
-        ]
 
     def look_at(self, problem: Problem, fitted: Fitted, amended: Sequence[Hypothesis] = ()) -> Look:
         """The look from where a model of a problem is fitted, which has the effects of ``amended`` beyond the rig."""
@@ -99,7 +91,7 @@ class Responses:
         kept = [h for h in self.kept if h.effect.name not in mine]
         owner = np.repeat(np.arange(len(self.kept)), [len(h.amplitudes) for h in self.kept])
         stays = [self.kept[k].effect.name not in mine for k in owner]
-        further = np.concatenate([self.own[stays], self.drawn, self.closed])
+        further = np.concatenate([self.own[stays], self.closed])
         predictions = []
         for there, base in zip(fitted.predictions, self.predictions, strict=True):
             out = {}
@@ -107,10 +99,8 @@ class Responses:
                 own = there.derivatives.get(channel, np.zeros((*values.shape, 0)))
                 out[channel] = np.concatenate([own, base.derivatives[channel][..., further]], axis=-1)
             predictions.append(Prediction(there.values, out, there.trace))
-        p, n, d = len(fitted.parameters), int(np.count_nonzero(stays)), len(self.drawn)
-        index = np.concatenate([np.arange(p + n), p + n + d + np.arange(len(self.closed))])
-        drawn = p + n + np.arange(d)
-        free = free_of(problem, fitted, predictions, index, drawn, self.closures, self.approximations)
+        index = np.arange(len(fitted.parameters) + len(further))
+        free = free_of(problem, fitted, predictions, index, self.closures)
         found = {(h.effect.name, label_of(h, self.kept)): h for h in kept}
         return Look(found, _ledger(fitted, kept, self.kept, amended, free), self.failed)
 
@@ -126,11 +116,12 @@ def look(
     closures = Closures(fitted.rig, problem, fitted.predictions)
     sized = [column for h in wanted for column in h.columns()]
     motions = [approximations.open_motions(i, r) for i, r in enumerate(problem.runs)]
+    offsets = [approximations.offsets(run) for run in problem.runs]
     jobs = [
         engine.submit_responses(
-            fitted.rig, run, fitted.parameters, fitted.scaled, sized, [*moved, *closures.modulated(run)]
+            fitted.rig, run, fitted.parameters, fitted.scaled, sized, [*moved, *stay, *closures.modulated(run)]
         )
-        for run, moved in zip(problem.runs, motions, strict=True)
+        for run, moved, stay in zip(problem.runs, motions, offsets, strict=True)
     ]
     found = [job.result() for job in jobs]
     shared = len(fitted.parameters)
@@ -145,13 +136,15 @@ def look(
     broken = set(owner[bad])
     kept = tuple(h for k, h in enumerate(wanted) if k not in broken)
     own = np.array([shared + k for k in range(len(sized)) if owner[k] not in broken], dtype=int)
-    drawn = ends + np.arange(max(map(len, motions)))
+    drawn = ends + np.arange(max(map(len, motions), default=0))
     found = [closures.append(run, p) for run, p in zip(problem.runs, found, strict=True)]
-    closed = ends + len(drawn) + np.arange(len(closures.columns))
+    shifted = ends + len(drawn) + np.arange(max(map(len, offsets), default=0))
+    closed = ends + len(drawn) + len(shifted) + np.arange(len(closures.columns))
     names = {h.effect.name for h in kept}
     failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
     failed = {n: why for n, why in failed.items() if n not in names} | approximations.failed
-    return Responses(found, shared, kept, own, drawn, closed, tuple(closures.columns), approximations, failed)
+    named = named_errors(problem, fitted, found, drawn, shifted, motions, approximations)
+    return Responses(found, shared, kept, own, closed, tuple(closures.columns), named, failed)
 
 
 def _ledger(

@@ -17,9 +17,9 @@ from sim_core.rigs import Rig
 from sim_core.rigs.fields import Pose
 from sim_core.rigs.motion import Experiment, Waypoints
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.residual_analysis import structure
+from sysid.diagnosis.residual_analysis import excess
 from sysid.diagnosis.result import NamedParameter
-from sysid.noise.estimate import column_groups, undeclared
+from sysid.noise.estimate import undeclared
 from sysid.noise.stillness import moving
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -35,11 +35,10 @@ def proposed(rig: Rig, problem: Problem, baseline: Fitted, named: Sequence[Named
     whose time constants the holds are long."""
     if not problem.runs:
         return None
-    parts = iter(structure(problem, baseline).parts)
-    excess = [sum(next(parts).excess for m in run.measured for _ in column_groups(m)) for run in problem.runs]
+    missed = [excess(problem, baseline, i) for i in range(len(problem.runs))]
     slow = [DIAGNOSIS.hold_over_time_constant * p.value for p in named if p.unit == "s"]
     hold = min(DIAGNOSIS.most_hold_s, max([DIAGNOSIS.least_hold_s, *slow]))
-    return next_motion(rig, problem.runs[int(np.argmax(excess))], float(f"{hold:.2g}"))
+    return next_motion(rig, problem.runs[int(np.argmax(missed))], float(f"{hold:.2g}"))
 
 
 def in_words(rig: Rig, experiment: Experiment, named: Sequence[NamedParameter]) -> str:

@@ -15,7 +15,6 @@ import numpy as np
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.diagnosis.model_tolerance import model_tolerance
 from sysid.discretisation.coarser_cells import CoarserCells
 from sysid.discretisation.contact_mesh import ContactMesh, refined_where_touched
 from sysid.discretisation.followed_model import follows
@@ -60,11 +59,11 @@ class Added:
 @dataclass(frozen=True)
 class Standing:
     """What is known where a search stands. ``engine``: predictions of the rig's own model with what the reference adds;
-    ``plain``: of the recordings; ``shapes``: what these may be off, by mesh, by time step, and as a model."""
+    ``plain``: of the recordings; ``refined``: what these are off by mesh and by time step."""
 
     engine: SpaceMappedPredictor
     plain: list[Prediction]
-    shapes: list[ErrorShape]
+    refined: list[ErrorShape]
 
 
 def _with_shapes(rig: Rig, other: Rig) -> Rig:
@@ -169,7 +168,6 @@ def standing(
         added = known or added_at(engine, reference, rigs, runs, own)
     shapes = discretisation(engine, rigs, runs, own, added.error)
     plain = [mapped(p, run, added.readings) for p, run in zip(own, runs, strict=True)]
-    shapes.append(model_tolerance(rigs[0], runs, plain))
     return Standing(SpaceMappedPredictor(engine, added.readings), plain, shapes)
 
 

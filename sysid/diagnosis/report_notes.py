@@ -18,7 +18,7 @@ from sysid.diagnosis.fitted_sets import FittedSet
 from sysid.diagnosis.result import Candidate, NamedParameter
 from sysid.diagnosis.validation import beyond_noise, gain_of, seen_by_both
 from sysid.diagnosis.verdict import Verdict, in_percent
-from sysid.discretisation.refinement import coarse_quantities, large_discretisation_errors, unresolved_quantities
+from sysid.discretisation.refinement import coarse_quantities, large_discretisation_errors
 from sysid.model.windows import not_from_rest
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import FROM_DIFFERENCES
@@ -136,7 +136,7 @@ def notes(base: Baseline, chosen: Sequence[FittedSet]) -> tuple[str, ...]:
     said += [o.sentence for o in base.outliers]
     said += coarse_quantities(problem)
     said += data_quality_warnings(fitted.rig, problem.runs)
-    said += large_discretisation_errors(problem) + unresolved_quantities(problem)
+    said += large_discretisation_errors(problem)
     for name, noise in problem.noise.items():
         if noise.source == FROM_DIFFERENCES:
             said.append(

@@ -4,36 +4,42 @@ A prediction y differs from what a perfect simulation of the same physics would 
 E_e and b_e ~ N(m_e, t_e^2). What halving the cells, the time step, or the range of contacts changes tells the error
 that each of them leaves, extrapolated (:mod:`sysid.discretisation.refinement`), so that b_e is about 1. A sheet touches
 with its surface, half its thickness from its middle, or with its middle in simulations that take it as a line or a
-surface; what that changes is extrapolated from half of the way, so that b_e is between 0 and 1.
+surface; what that changes is extrapolated from half of the way, so that b_e is between 0 and 1. How far the surface of
+a gel is dragged along depends on the boundary far away, where forces do not: a pad of three or six times its thickness
+moves it by a third (:mod:`sysid.discretisation.gel_extent`), and finite elements of the wider one differ by a tenth
+from boundary elements of a layer without end, so that b_e of the motion of markers on a gel is 0.1 about 0.
 
 Poses are known to within their noise only. Where the motion really was lies about the smooth curve that a rollout
 follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings answers to that by more than the noise of its markers.
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
-b ~ N(0, 1), the covariance of which is that of the draws.
+b ~ N(0, 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of
+instants: what a body follows at once is an error of each instant besides (:func:`of_instants`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ThinshellError
-from sim_core.rigs import Rig
+from sim_core.rigs import Gel, Rig
 from sim_core.rigs.pose_offset import OFFSETS
 from sim_core.scene.touching import half_thicknesses
 from sysid.discretisation.error_budget import with_half_range
 from sysid.model.parameters import rig_in
 from sysid.model.prediction_source import AnyEngine
+from sysid.model.predictor import Prediction
 from sysid.model.responses import Modulated
 from sysid.model.time_span import rollout_times
 from sysid.observations.observations import Run
 from sysid.settings.discretisation import DISCRETISATION
-from sysid.solve.discretisation_basis import MODEL
+from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.named_errors import NamedError, NamedErrors
 from sysid.solve.optimum import Fitted
+from sysid.solve.outliers import DIMENSIONS
 from sysid.solve.residuals import Problem
 
 CONTACT_RANGE = "contact range"
@@ -42,19 +48,26 @@ CONTACT_RANGE = "contact range"
 TOUCHING_SURFACE = "touching surface"
 """Name of what changes where sheets touch with their middle and not with their surface."""
 
+GEL_EXTENT = "gel extent"
+"""Owner of what the boundary far away changes in how far a surface is dragged along."""
+
 POSES = "poses"
 """Owner of what the noise of poses leaves open."""
 
 
-@dataclass(frozen=True)
-class Approximation:
-    """``owner``: what is approximated; ``name``: of the direction; ``mean``, ``sd``: of its size, in units of the
-    extrapolated error, or of what the noise of poses makes of it."""
+def sized(label: str) -> NamedError:
+    """A named error with the size that is expected of it."""
+    owner = label.split(",")[0]
+    return NamedError(owner, label, *DISCRETISATION.approximation_sizes[owner])
 
-    owner: str
-    name: str
-    mean: float
-    sd: float
+
+def refinement_errors(shapes: Sequence[ErrorShape]) -> NamedErrors:
+    """The errors of mesh and time step alone."""
+    runs = range(len(shapes[0].shapes)) if shapes else range(0)
+    by_channel = tuple(
+        {c: np.stack([s.shapes[i][c] for s in shapes], axis=-1) for c in shapes[0].shapes[i]} for i in runs
+    )
+    return NamedErrors(tuple(sized(s.label) for s in shapes), by_channel, tuple(shapes))
 
 
 class Approximations:
@@ -65,7 +78,7 @@ class Approximations:
         self.failed: dict[str, str] = {}
         self._open = any(noise > 0.0 for run in problem.runs for p in run.poses.values() for noise in p.noise)
         self._rigs = [rig_in(base.rig, base.parameters, base.scaled, run.name) for run in problem.runs]
-        known = [(d.label, d.shapes) for d in problem.error_shapes if d.label != MODEL]
+        known = [(d.label, d.shapes) for d in problem.refined]
         order = 2.0**DISCRETISATION.contact_order
         for name, changed, factor in (
             (CONTACT_RANGE, with_half_range, order / (order - 1.0)),
@@ -74,11 +87,13 @@ class Approximations:
             if changed(base.rig) != base.rig:
                 error = self._secant(name, changed, factor, engine, base, problem.runs)
                 known += [] if error is None else [(name, error)]
-        self.columns = [Approximation(label, label, *DISCRETISATION.approximation_sizes[label]) for label, _ in known]
+        known += _of_gel_extent(base.rig, problem.runs, base.predictions)
+        self.columns = [sized(label) for label, _ in known]
         self.shapes = [
             {m.channel: _stacked([s[i].get(m.channel) for _, s in known], m.values.shape) for m in run.measured}
             for i, run in enumerate(problem.runs)
         ]
+        self._refined = tuple(problem.refined)
 
     def _secant(
         self,
@@ -99,6 +114,11 @@ class Approximations:
         pairs = zip(found, base.predictions, strict=True)
         return tuple({c: np.nan_to_num(factor * (v - q.values[c])) for c, v in p.values.items()} for p, q in pairs)
 
+    def offsets(self, run: Run) -> list[Modulated]:
+        """Offsets of the end effectors of a recording that stay, none where its poses leave nothing open."""
+        ends = np.array([0.0, max(run.end, 1e-9)])
+        return [Modulated(f"{n}.{k}", ends, np.ones(2)) for n in run.poses for k in OFFSETS] if self._open else []
+
     def open_motions(self, index: int, run: Run) -> list[Modulated]:
         """Draws of what the poses of recording number ``index`` leave open of its motion, as offsets of the end
         effectors that change in time, each of the size of one draw over the root of their number."""
@@ -107,6 +127,49 @@ class Approximations:
         rng, rig = np.random.default_rng(index), self._rigs[index]
         times = rollout_times([rig], run, rig.solver.dt_s)
         return [_motion(rig, run, times, rng) for _ in range(DISCRETISATION.drawn_motions)]
+
+    def with_motions(
+        self,
+        runs: Sequence[Run],
+        open_: Sequence[Mapping[str, np.ndarray]],
+        count: Sequence[int],
+        instant: Sequence[dict[str, np.ndarray]],
+    ) -> NamedErrors:
+        """All named errors. ``open_``: by recording and channel, the ``count`` principal responses to its open motions
+        ``(n, m, k)``; ``instant``: those that each instant has for itself (:func:`of_instants`)."""
+        ends, columns, shapes = np.cumsum([0, *count]), list(self.columns), []
+        for i, run in enumerate(runs):
+            columns += [NamedError(POSES, f"{run.name}, direction {k + 1}", 0.0, 1.0) for k in range(count[i])]
+            found = {}
+            for m in run.measured:
+                whole = np.zeros((*m.values.shape, ends[-1]))
+                whole[..., ends[i] : ends[i + 1]] = open_[i][m.channel]
+                found[m.channel] = np.concatenate([self.shapes[i][m.channel], whole], axis=-1)
+            shapes.append(found)
+        return NamedErrors(tuple(columns), tuple(shapes), self._refined, tuple(instant))
+
+
+def _of_gel_extent(
+    rig: Rig, runs: Sequence[Run], predictions: Sequence[Prediction]
+) -> list[tuple[str, tuple[dict[str, np.ndarray], ...]]]:
+    """What the extent of a gel changes: the motion of markers on it, seen from what it is fixed to, axis by axis."""
+    found = []
+    for name, camera in rig.cameras.items():
+        bodies = [rig.bodies[sight.body] for sight in camera.sees]
+        if not bodies or not all(isinstance(b, Gel) and b.mount == camera.mount for b in bodies):
+            continue
+        axes = {DIMENSIONS[m.kind] for run in runs for m in run.measured if m.channel == name and m.kind in DIMENSIONS}
+        for axis in range(max(axes, default=0)):
+            shapes = []
+            for run, p in zip(runs, predictions, strict=True):
+                out = {m.channel: np.zeros(m.values.shape) for m in run.measured}
+                if name in out:
+                    values = p.values[name]
+                    first = values[np.argmax(np.isfinite(values).any(axis=1))]
+                    out[name][:, axis :: max(axes)] = np.nan_to_num(values - first)[:, axis :: max(axes)]
+                shapes.append(out)
+            found.append((f"{GEL_EXTENT}, axis {axis + 1} of {name}", tuple(shapes)))
+    return found
 
 
 def _with_thinner_touch(rig: Rig) -> Rig:
@@ -142,9 +205,20 @@ def _motion(rig: Rig, run: Run, times: np.ndarray, rng: np.random.Generator) -> 
     return Modulated(parts[0].parameter, parts[0].times, parts[0].values, tuple(parts[1:]))
 
 
+def of_instants(t: np.ndarray, motions: Sequence[Modulated], shifted: np.ndarray) -> np.ndarray:
+    """What open motions change at each of the instants ``t`` [s] ``(n,)`` as offsets that stay ``(n, r, m)``, measured
+    units, for errors of unit variance. ``shifted`` ``(n, m, r)``: derivatives by these offsets.
+
+    Draws q_k of a motion are a few of hundreds of independent ones, and what a body follows at once is known instant
+    by instant: with the derivative Q(t) by the offset, it is Q(t) C(t), C C^T = sum_k q_k(t) q_k(t)^T."""
+    courses = np.array([[part.course(t) for part in m.parts] for m in motions])
+    values, vectors = np.linalg.eigh(np.einsum("kin,kjn->nij", courses, courses))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
+    return np.asarray((shifted @ root).transpose(0, 2, 1))
+
+
 def principal(responses: np.ndarray) -> np.ndarray:
-    """Columns ``(n, r)`` with the covariance of whitened responses ``(n, k)``, the largest first; what is far below the
-    noise is left out."""
+    """Combinations ``(k, r)`` of whitened responses ``(n, k)`` that have their covariance, the largest first; what is
+    far below the noise is left out."""
     squares, directions = np.linalg.eigh(responses.T @ responses)
-    kept = squares > DISCRETISATION.faint_motion**2
-    return np.asarray(responses @ directions[:, kept])[:, ::-1]
+    return np.asarray(directions[:, squares > DISCRETISATION.faint_motion**2])[:, ::-1]

@@ -33,7 +33,7 @@ from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
 from sysid.settings.discretisation import DISCRETISATION
 from sysid.solve.covariance import uncertainty
-from sysid.solve.discretisation_basis import MODEL, ErrorShape
+from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
@@ -273,9 +273,7 @@ def _sizes(problem: Problem) -> dict[tuple[str, str], tuple[list[float], list[fl
     for i, run in enumerate(problem.runs):
         for m in run.measured:
             noise = problem.noise[m.channel].sigma
-            whole = np.sum(
-                [d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.error_shapes if d.label != MODEL], axis=0
-            )
+            whole = np.sum([d.shapes[i].get(m.channel, 0.0 * m.values) for d in problem.refined], axis=0)
             seen = np.where(np.isfinite(m.values), whole, np.nan)
             for quantity, group in quantities(m):
                 if np.isfinite(seen[:, group]).any():

@@ -40,12 +40,6 @@ class DiagnosisSettings:
     cauchy_width_sd: float = setting(
         3.0, "sd", "Whitened residual that counts as far in the loss by which branches are compared.", "convention"
     )
-    too_coarse_ratio: float = setting(
-        5.0,
-        "1",
-        "Discretisation error over noise, median over readings, from which a recording weighs nothing.",
-        "judgement",
-    )
     error_measured_within_sd: float = setting(
         1.0,
         "sd",
@@ -57,12 +51,6 @@ class DiagnosisSettings:
         0.3, "sd", "How far, likewise, what a reference model adds is taken to be that of the start.", "cost"
     )
     ringing_within_sd: float = setting(0.03, "sd", "How far, likewise, where something vibrates.", "cost")
-    held_out_evaluations: int = setting(
-        5,
-        "1",
-        "Evaluations allowed to one baseline for all recordings, which begins where that of the ones given stands.",
-        "cost",
-    )
 
     # what is known before
     known_sd: Mapping[str, float] = setting(
@@ -79,66 +67,8 @@ class DiagnosisSettings:
         "Standard deviations of what was known of a parameter from which its fitted value needs explaining.",
         "statistics",
     )
-
-    # tolerance of the model
-    model_tolerance: float = setting(
-        0.01, "1", "Agreement of careful simulations, in units of the deformation signal.", "judgement"
-    )
-    gel_marker_tolerance: float = setting(
-        0.1,
-        "1",
-        "Agreement of careful simulations in points on a gel, in units of their motion against what the gel "
-        "is fixed to.",
-        "measured",
-    )
-
-    # where recordings can be predicted
-    ensemble_members: int = setting(4, "1", "Rollouts of the ensemble, to both sides of the model by pairs.", "cost")
-    ensemble_sd: float = setting(
-        1.5,
-        "sd",
-        "How far members are, in standard deviations, along each of the independent directions of the parameters.",
-        "judgement",
-    )
-    ensemble_least_sd: Mapping[str, float] = setting(
-        {"friction": 0.01, "E_pa": 0.01},
-        "1",
-        "Least standard deviation of a member: what a formal covariance says of a friction coefficient is too "
-        "good to be true where everything sticks or slides.",
-        "judgement",
-    )
-    unpredictable_over_noise: float = setting(
-        5.0,
-        "1",
-        "Disagreement of the ensemble over noise from which a reading is unpredictable; "
-        "``unpredictable_signal_share`` has to be reached as well.",
-        "judgement",
-    )
-    unpredictable_signal_share: float = setting(
-        0.05, "1", "The same over the largest deformation of the run.", "judgement"
-    )
-    event_s: float = setting(0.3, "s", "Length of the running median beside which a change is an event.", "judgement")
-    event_margin_s: float = setting(
-        0.03,
-        "s",
-        "Time before an unpredictable reading, and after it where nothing vibrates, that is unpredictable as well.",
-        "judgement",
-    )
-    ringing_s: float = setting(
-        0.25,
-        "s",
-        "Time after an unpredictable reading that is unpredictable as well where there is inertia: what "
-        "follows an impact has its phase.",
-        "judgement",
-    )
-    most_unpredictable_share: float = setting(
-        0.5,
-        "1",
-        "Share of a run from which on nothing of it is left out: then it is not a matter of events.",
-        "judgement",
-    )
-    other_branch_ratio: float = setting(
-        2.0, "1", "Ratio of misfits from which two predictions count as those of different branches.", "judgement"
+    drawn_predictions: int = setting(
+        6, "1", "Draws of the parameters with which recordings held out are predicted as well.", "cost"
     )
 
     # which effects are looked at
@@ -200,32 +130,6 @@ class DiagnosisSettings:
         "without contact too. A misfit like a half sine over a share ``f`` of the time, less its mean ``2 f / "
         "pi``, leaves there ``(2 f / (pi - 2 f))^2`` of the energy of its largest block: 7 % where f is a "
         "third, 20 % where it is a half.",
-        "judgement",
-    )
-    misfit_per_score: float = setting(
-        1.6,
-        "1",
-        "Structured misfit per score (1 = noise) above which something is missing even without a name.",
-        "judgement",
-    )
-    misfit_sd: float = setting(
-        6.0,
-        "sd",
-        "Deviations above noise that the structured misfit of a quantity with few scores must have as well.",
-        "judgement",
-    )
-    discretisation_share: float = setting(
-        0.5,
-        "1",
-        "Structured misfit below this share of the discretisation error is not blamed on physics.",
-        "judgement",
-    )
-    least_size: float = setting(
-        0.5,
-        "1",
-        "Size over what a single reading may be off, for two blocks of time, below which a difference is none "
-        "that anybody could see. With thousands of samples much less is significant, and careful models "
-        "differ in that.",
         "judgement",
     )
     window_parts: int = setting(8, "1", "Parts of a window that are told apart.", "convention")

@@ -48,7 +48,13 @@ class DiscretisationSettings:
 
     # named approximations
     approximation_sizes: Mapping[str, tuple[float, float]] = setting(
-        {"mesh": (1.0, 0.3), "time step": (1.0, 0.3), "contact range": (1.0, 0.3), "touching surface": (0.5, 0.5)},
+        {
+            "mesh": (1.0, 0.3),
+            "time step": (1.0, 0.3),
+            "contact range": (1.0, 0.3),
+            "touching surface": (0.5, 0.5),
+            "gel extent": (0.0, 0.1),
+        },
         "1",
         "Mean and standard deviation of the size of each approximation, in units of the extrapolated error.",
         "judgement",
@@ -149,16 +155,6 @@ class DiscretisationSettings:
     )
     largest_followed_share: float = setting(
         2.5, "1", "Share up to which it is one of these two models that recordings follow.", "judgement"
-    )
-    follow_blocks: int = setting(
-        8, "1", "Parts of the time of a recording that tell of a share independently of each other.", "judgement"
-    )
-    confounded_sd_ratio: float = setting(
-        3.0,
-        "1",
-        "Standard deviation of a share as its parts of the time tell it, over that of noise alone, above "
-        "which what is missing decides on it.",
-        "judgement",
     )
 
 

@@ -13,7 +13,7 @@ class SetupCheckSettings:
 
     # what is looked at
     frames: int = setting(16, "1", "Instants of a recording at which readings are compared.", "cost")
-    most_steps: int = setting(100, "1", "Steps of the solver in one rollout.", "cost")
+    most_steps: int = setting(400, "1", "Steps of the solver in one rollout.", "cost")
     per_frame: int = setting(8, "1", "Readings that are averaged at an instant.", "cost")
     fewest_frames: int = setting(4, "1", "Instants with readings from which a column is compared.", "judgement")
     first_rollout_s: float = setting(

@@ -19,8 +19,7 @@ a quantity about t, stands for that twice: with r_j for what stays as long as th
 the same all through a hold, whose every sample must not count as a new witness: intervals would shrink with the rate of
 the sensor), in R for what is new with every sample. U(t) is that of what came unforeseen, between two places where the
 error and its slopes were measured: where a gel snaps over, it does so with other parameters a moment later or not at
-all, and nobody knows which of both the real one does. What careful models differ in (:data:`MODEL`) is a share of the
-signal of the same instant: A_p(t) and D(t) are then of that.
+all, and nobody knows which of both the real one does.
 
 The coefficients are eliminated from the least-squares problem and the last part weighs samples down, so intervals and
 evidence are those with the error integrated out (the discrepancy of Kennedy & O'Hagan 2001 with a basis from the solver
@@ -35,7 +34,7 @@ of reality (all of it).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -45,10 +44,6 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import column_groups
 from sysid.observations.observations import Measured, Run
 from sysid.settings.solve import SOLVE
-
-MODEL = "model"
-"""Label of the error shape of what careful simulations differ in (:mod:`sysid.diagnosis.model_tolerance`); others are
-those of mesh and time step."""
 
 
 @dataclass(frozen=True)
@@ -209,12 +204,11 @@ def basis_of(
             group = quantity[np.isfinite(measured.values[:, quantity]).any(axis=0)]
             if not len(group):
                 continue
-            about = (lambda size: size) if direction.label == MODEL else (lambda size: _largest(size, t, run.end))
-            for part in (Changes(shape[:, group], drift, instants), *_patterns(shape[:, group], t, run.end, about)):
+            for part in (Changes(shape[:, group], drift, instants), *_patterns(shape[:, group], t, run.end)):
                 wide = np.zeros(shape.shape)
                 wide[:, group] = direction.sd * part.shape
                 common.append(replace(part, shape=wide))
-            largest[:, group] += about(_rms(shape[:, group]))[:, None] ** 2
+            largest[:, group] += _largest(_rms(shape[:, group]), t, run.end)[:, None] ** 2
             if direction.unforeseen:
                 missed = direction.unforeseen[index][measured.channel][:, group]
                 unforeseen[:, group] += _largest(_rms(missed), t, run.end)[:, None] ** 2
@@ -264,15 +258,15 @@ def _drift(t: np.ndarray, end: float, levels: int = len(SOLVE.error_course_level
     return np.concatenate(functions, axis=1), np.concatenate(instants)
 
 
-def _patterns(shape: np.ndarray, t: np.ndarray, end: float, about: Callable[[np.ndarray], np.ndarray]) -> list[Changes]:
-    """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times, as large as ``about`` says
-    of the sizes ``(n,)`` of these."""
+def _patterns(shape: np.ndarray, t: np.ndarray, end: float) -> list[Changes]:
+    """Changes of an error of a given shape ``(n, m)`` that has its patterns at other times, as large as the largest of
+    these thereabouts."""
     drift, instants = _drift(t, end, SOLVE.pattern_levels)
     courses, strengths, components = np.linalg.svd(shape, full_matrices=False)
     kept = np.flatnonzero(
         strengths[: SOLVE.error_patterns] > SOLVE.faint_pattern_share * max(strengths[0], np.finfo(float).tiny)
     )
-    sizes = [about(np.abs(courses[:, p] * strengths[p])) for p in kept]
+    sizes = [_largest(np.abs(courses[:, p] * strengths[p]), t, end) for p in kept]
     return [Changes(a[:, None] * components[p], drift, instants) for p, a in zip(kept, sizes, strict=True)]
 
 

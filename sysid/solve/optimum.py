@@ -24,7 +24,8 @@ class Fitted:
     none; ``began``: chi-square where the search began, infinite without one; ``elsewhere``: the discretisation error
     that it was found beside is that of another place, and is to be measured again before anything is made of the
     misfit; ``still``: the jacobian beside a discretisation error that would not change with the parameters, None where
-    it does not; ``interrupted``: by Ctrl-C."""
+    it does not; ``interrupted``: by Ctrl-C; ``named``: most probable sizes of named errors ``(k,)``
+    (:mod:`sysid.solve.named_errors`)."""
 
     parameters: list[FitParameter]
     scaled: np.ndarray
@@ -45,6 +46,7 @@ class Fitted:
     elsewhere: bool = False
     still: np.ndarray | None = None
     interrupted: bool = False
+    named: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def interrupt(self) -> None:
         """Ctrl-C was pressed: the search ends here."""

@@ -23,6 +23,7 @@ from sysid.observations.observations import Measured, Run
 from sysid.settings.solve import SOLVE
 from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, believed
 from sysid.solve.gauss_newton import Search
+from sysid.solve.named_errors import Marginal, NamedErrors
 from sysid.solve.optimum import Fitted
 from sysid.solve.variable_projection import Elimination
 
@@ -47,8 +48,9 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
 
 class Assembled(NamedTuple):
     """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
-    probable ``sizes`` of error shapes, which rows are no reading that is predicted out of ``sight`` ``(n,)``, and the
-    jacobian beside a discretisation error that would be ``still`` ``(n, p)``, None where it is."""
+    probable ``sizes`` of error shapes, which rows are no reading that is predicted out of ``sight`` ``(n,)``, the
+    jacobian beside a discretisation error that would be ``still`` ``(n, p)``, None where it is, and most probable sizes
+    of ``named`` errors ``(k,)``."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -56,6 +58,7 @@ class Assembled(NamedTuple):
     sizes: dict[tuple[int, str], Sizes]
     sight: np.ndarray
     still: np.ndarray | None
+    named: np.ndarray
 
 
 class Problem:
@@ -63,7 +66,8 @@ class Problem:
 
     ``prior``: pull every parameter to the value of the rig with the width of its plausible range, not only
     nuisances; ``bias``: every wrench reading has a constant of its own in each run, which is eliminated as well;
-    ``on_channel``: called with each channel of a run that has been assembled.
+    ``on_channel``: called with each channel of a run that has been assembled; ``named``: errors of named
+    approximations, which are integrated out of all residuals together.
     """
 
     def __init__(
@@ -75,6 +79,7 @@ class Problem:
         prior: bool = False,
         bias: bool = False,
         on_channel: Callable[[Measured], None] | None = None,
+        named: NamedErrors | None = None,
     ) -> None:
         self.runs = list(runs)
         self.noise = noise
@@ -89,6 +94,8 @@ class Problem:
         self._doubtful: dict[tuple[int, str], np.ndarray] = {}
         self._eliminations: dict[tuple[int, str], Elimination] = {}
         self._known: Fitted | None = None
+        self.named = named
+        self._marginal: tuple[bytes, Marginal] | None = None
         self._compared = {
             (i, m.channel): Samples(
                 np.isfinite(m.values), m.t, tuple(column_groups(m)), tared=self.bias and bias_sd(m) is not None
@@ -98,9 +105,20 @@ class Problem:
         }
 
     @property
+    def refined(self) -> Sequence[ErrorShape]:
+        """The errors of mesh and time step, as they were measured."""
+        return self.error_shapes if self.named is None else self.named.refined
+
+    @property
     def eliminates(self) -> bool:
         """Something is eliminated from the residuals."""
         return bool(self.error_shapes) or self.bias
+
+    def beside(self, named: NamedErrors) -> Problem:
+        """The same problem with other named errors."""
+        return Problem(
+            self.runs, self.noise, self.engine, self.error_shapes, self.prior, self.bias, self.on_channel, named
+        )
 
     def basis(self, index: int, measured: Measured) -> Basis:
         """The discretisation error, and the bias, in one channel of run number ``index``."""
@@ -159,15 +177,25 @@ class Problem:
     def _common(self, index: int, measured: Measured, seen: np.ndarray) -> np.ndarray | None:
         """What noise makes all markers of a picture have in common ``(n, r, m)``, in units of whitened samples, of
         which those ``seen`` ``(n, m)`` count; None: nothing."""
-        common = self.noise[measured.channel].common
-        if common is None:
-            return None
-        key = (index, measured.channel)
-        if key not in self._places:
-            first = np.argmax(np.isfinite(measured.values), axis=0)
-            self._places[key] = np.take_along_axis(measured.values, first[None], axis=0)[0]
         weights = self._weights_of(index, measured) if self.eliminates else 1.0
-        return common.deviations(self._places[key], seen, weights)
+        parts = self._of_instants(index, measured, weights * seen)
+        common = self.noise[measured.channel].common
+        if common is not None:
+            key = (index, measured.channel)
+            if key not in self._places:
+                first = np.argmax(np.isfinite(measured.values), axis=0)
+                self._places[key] = np.take_along_axis(measured.values, first[None], axis=0)[0]
+            parts = [common.deviations(self._places[key], seen, weights), *parts]
+        return np.concatenate(parts, axis=1) if parts else None
+
+    def _of_instants(self, index: int, measured: Measured, weights: np.ndarray) -> list[np.ndarray]:
+        """Named errors that each instant has for itself ``(n, r, m)``, in units of whitened samples with ``weights``
+        ``(n, m)``."""
+        if self.named is None or not self.named.instant:
+            return []
+        own = self._own[measured.channel]
+        factors = weights * np.sqrt(own.whitening_gain) / own.sigma
+        return [self.named.instant[index][measured.channel] * factors[:, None]]
 
     def _in_common(self, index: int, measured: Measured, white: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Whitened values ``(n, m, ...)``, 0 where they are not ``seen`` ``(n, m)``, in units of the noise that markers
@@ -197,6 +225,8 @@ class Problem:
     def corrected(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """Prediction of a channel with the most probable discretisation error added, measured units ``(n, m)``."""
         prediction = fitted.predictions[index].values[measured.channel]
+        if self.named is not None:
+            prediction = prediction + self.named.shapes[index][measured.channel] @ fitted.named
         if not self.eliminates:
             return prediction
         error = self.basis(index, measured).error(fitted.scaled, fitted.sizes[(index, measured.channel)])
@@ -205,6 +235,8 @@ class Problem:
     def explained(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """As :meth:`corrected`, with no more discretisation error than is believed
         (:func:`sysid.solve.discretisation_basis.believed`): what the model accounts for, measured units ``(n, m)``."""
+        if self.named is not None:
+            return self.corrected(fitted, index, measured)
         read = self.read(fitted, index, measured)
         if not self.error_shapes:
             return read
@@ -224,6 +256,7 @@ class Problem:
         """
         assembled, labels, sight = [], [], []
         sizes: dict[tuple[int, str], Sizes] = {}
+        marginal = self._marginal_of(predictions)
         for i, (run, prediction) in enumerate(zip(self.runs, predictions, strict=True)):
             for m in run.measured:
                 _check_numbers(run, m, prediction, names)
@@ -237,6 +270,9 @@ class Problem:
                     slopes = np.where(np.isnan(miss)[:, :, None], np.nan, -prediction.derivatives[m.channel])
                     slopes = self._by_column(i, m, slopes)
                     vectors += [slopes[:, :, k] for k in range(len(names))]
+                if marginal is None and self.named is not None:
+                    shapes = np.where(np.isnan(miss)[:, :, None], np.nan, self.named.shapes[i][m.channel])
+                    vectors += list(np.moveaxis(self._by_column(i, m, shapes), 2, 0))
                 stacked = np.stack(vectors, axis=2)
                 times = np.broadcast_to(m.t[:, None], white.shape)[good]
                 if self.eliminates:
@@ -257,13 +293,31 @@ class Problem:
                 labels.append((i, m.channel, times))
                 if self.on_channel is not None:
                     self.on_channel(m)
-        rows, there = np.concatenate(assembled), np.concatenate(sight)
+        rows, there, found = np.concatenate(assembled), np.concatenate(sight), np.zeros(0)
+        if self.named is not None and self.named.columns:
+            if marginal is None:
+                ends = 1 + len(names) + len(self.named.columns)
+                marginal = Marginal(rows[:, 1 + len(names) : ends], self.named)
+                self._marginal = (self._in_sight(predictions), marginal)
+                rows = np.delete(rows, np.s_[1 + len(names) : ends], axis=1)
+            rows, found = marginal(rows)
         still, changes = rows[:, 1 : 1 + len(names)], rows[:, 1 + len(names) :]
         if not changes.any():
-            return Assembled(rows[:, 0], still, labels, sizes, there, None)
+            return Assembled(rows[:, 0], still, labels, sizes, there, None, found)
         jacobian = still.copy()
         jacobian[:, : changes.shape[1]] -= changes
-        return Assembled(rows[:, 0], jacobian, labels, sizes, there, still)
+        return Assembled(rows[:, 0], jacobian, labels, sizes, there, still, found)
+
+    def _in_sight(self, predictions: Sequence[Prediction]) -> bytes:
+        """Which readings are compared, as a value."""
+        pairs = [(m, p.values[m.channel]) for run, p in zip(self.runs, predictions, strict=True) for m in run.measured]
+        return b"".join(np.packbits(np.isfinite(m.values) & np.isfinite(v)).tobytes() for m, v in pairs)
+
+    def _marginal_of(self, predictions: Sequence[Prediction]) -> Marginal | None:
+        """What integrates named errors out; kept while the same readings are compared."""
+        if self._marginal is None or self._marginal[0] != self._in_sight(predictions):
+            return None
+        return self._marginal[1]
 
     def seen(self, predictions: Sequence[Prediction]) -> int:
         """How many readings are in sight in the predictions as well."""
@@ -321,7 +375,7 @@ class Problem:
     ) -> Fitted:
         """Residuals and derivatives of predictions at hand, which are those at ``scaled``, with the priors' rows."""
         names = [p.name for p in parameters]
-        r, j, labels, sizes, sight, still = self.assemble(predictions, names, scaled if names else None)
+        r, j, labels, sizes, sight, still, named = self.assemble(predictions, names, scaled if names else None)
         pulled = [k for k, p in enumerate(parameters) if self.prior or p.pulled]
         if pulled:
             width = np.array([parameters[k].known_sd or parameters[k].prior_sd for k in pulled])
@@ -332,7 +386,7 @@ class Problem:
             sight = np.concatenate([sight, np.ones(len(width), dtype=bool)])
         return Fitted(
             list(parameters), scaled, rig_at(rig, parameters, scaled), r, j, labels, predictions, rig, 1, True,
-            "evaluated", sizes, compared=self._compared, sight=sight, still=still,
+            "evaluated", sizes, compared=self._compared, sight=sight, still=still, named=named,
         )  # fmt: skip
 
     def fit(

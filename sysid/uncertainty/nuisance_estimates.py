@@ -127,7 +127,7 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
         predictions.append(replace(prediction, values=amended, derivatives=slopes))
     scaled = np.concatenate([fitted.scaled, values])
     names = [b.name for b in (*fitted.parameters, *biases)]
-    r, j, labels, sizes, sight, still = plain.assemble(predictions, names, scaled)
+    r, j, labels, sizes, sight, still, _ = plain.assemble(predictions, names, scaled)
     width = np.array([b.prior_sd for b in biases])
     first = len(fitted.residual) - fitted.pulls
     pulls = np.block([[fitted.jacobian[first:], np.zeros((fitted.pulls, q))], [np.zeros((q, p)), np.diag(1.0 / width)]])

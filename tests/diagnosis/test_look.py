@@ -19,7 +19,7 @@ from sysid.comparison.posterior import compared
 from sysid.comparison.priors import AMPLITUDES, PRIORS, Priors
 from sysid.diagnosis.candidates import Amplitude, Hypothesis, drawn_shapes, hypotheses
 from sysid.diagnosis.look import Look, look
-from sysid.discretisation.approximations import Approximations
+from sysid.discretisation.approximations import Approximations, refinement_errors
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
@@ -86,10 +86,12 @@ def looked(small_rig: Any, share: float, seeds: Sequence[int] = (1,), fitted: fl
     at = start_of(rig, parameters)
     engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.full(3, SIGMA), 0.0, "test")}
     shapes = [ErrorShape("mesh", tuple({"gauge": OWN} for _ in seeds))]
-    given = Problem([recording(n, share, at) for n in seeds], noise, engine, shapes, prior=True)
+    runs, named = [recording(n, share, at) for n in seeds], refinement_errors(shapes)
+    given = Problem(runs, noise, engine, prior=True, named=named)
     base = given.evaluate(rig, parameters, at)
     wanted = [relaxation(0.1), relaxation(0.1, "#other"), relaxation(0.1, "#broken")]
     found = look(engine, base, given, wanted, Approximations(engine, base, given))
+    given = given.beside(found.named)
     if fitted is None:
         return found.look_at(given, base), base
     there = rig.model_copy(update={"effects": {"gel_relaxation": {"share": fitted, "tau_s": 0.2}}})

@@ -1,4 +1,4 @@
-"""The discretisation error in units of the noise."""
+"""Where and when a model misses recordings."""
 
 from __future__ import annotations
 
@@ -10,40 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.diagnosis.residual_analysis import _phase, locate, structure
-from sysid.model.predictor import Prediction, SerialPredictor
+from sysid.diagnosis.residual_analysis import _phase, excess, locate
+from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.settings.solve import SOLVE
-from sysid.solve.discretisation_basis import ErrorShape, Sizes
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
-
-
-def test_what_is_not_measured_does_not_count() -> None:
-    n = 10 * DIAGNOSIS.time_blocks
-    t = np.linspace(0.0, 1.0, n)
-    values = np.full((n, 6), np.nan)
-    values[:, 1] = 0.0  # a gauge along y
-    gauge = Measured("gauge", "wrench", t, values, tuple("abcdef"))
-    run = Run("pull", "", (), {}, (gauge,), 1.0)
-    # Nothing is known of the noise of the other components, and the simulator moves there too.
-    noise = ChannelNoise(np.array([0.1, 0.1, 0.1, 1e-12, 1e-12, 1e-12]), 0.0, "test")
-    known = ErrorShape("mesh", ({"gauge": np.full((n, 6), 0.05)},), mean=1.0)
-    problem = Problem([run], {"gauge": noise}, cast(SerialPredictor, None), [known])
-    # Every block of about ten samples, each half a standard deviation off: (10 * 0.5)^2 / 10, with that
-    # deviation widened by what follows no shape.
-    widened = 1.0 + (SOLVE.rough_error_share * 0.5) ** 2
-    basis = problem.basis(0, gauge)
-    shared, own = (sum(len(p.instants) for p in parts) for parts in (basis.common, basis.own))
-    none = Sizes(np.zeros(shared), np.zeros((6, own)))
-    prediction = SimpleNamespace(values={"gauge": np.zeros((n, 6))})
-    fitted = SimpleNamespace(scaled=np.zeros(0), sizes={(0, "gauge"): none}, predictions=[prediction])
-    forces, torques = structure(problem, cast(Fitted, fitted)).parts
-    assert forces.own == pytest.approx(0.25 * n / widened, rel=0.01)
-    assert forces.count == DIAGNOSIS.time_blocks
-    assert (torques.own, torques.count) == (0.0, 0)
 
 
 @pytest.mark.parametrize(
@@ -76,22 +49,21 @@ def test_the_end_of_a_motion_in_a_hold_is_a_hold() -> None:
     assert _phase(run, cast(Any, fitted), 0, 0.4, 0.6) == "holding in contact"
 
 
-@pytest.mark.parametrize(("off", "missing"), [(1.0, False), (2.4, True)])
-def test_misfit_that_no_reading_shows_is_not_missing(off: float, missing: bool) -> None:
-    """A third of the noise adds up to 45 times its square over 400 samples a block, and still nobody could see it; an
-    event in one block does not make it any larger."""
+def test_the_excess_of_a_recording_is_that_of_its_blocks() -> None:
+    """Noise has none, and an error of a third of the noise adds up over the samples of a block."""
     t = np.linspace(0.0, 24.0, 24 * 400, endpoint=False)
-    rng = np.random.default_rng(0)
-    event = np.where((t > 3.0) & (t < 4.0), 30.0, 0.0)
-    values = rng.normal(0.0, 3.0, len(t)) + off * np.sign(np.sin(np.pi * t / 6.0)) + event
-    run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values[:, None], ("x",)),), 24.0)
-    problem = Problem([run], {"gauge": ChannelNoise(np.array([3.0]), np.zeros(1), "given")}, cast(Any, None))
+    noise = np.random.default_rng(0).normal(0.0, 3.0, len(t))
     prediction = Prediction({"gauge": np.zeros((len(t), 1))}, {}, cast(Any, None))
     fitted = cast(Fitted, SimpleNamespace(scaled=np.zeros(0), sizes={}, predictions=[prediction]))
-    found = structure(problem, fitted)
-    assert found.whole.significant
-    assert found.whole.size == pytest.approx(off / 3.0, abs=0.1)
-    assert found.missing == missing
+    found = []
+    for off in (0.0, 1.0):
+        values = noise + off * np.sign(np.sin(np.pi * t / 6.0))
+        run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values[:, None], ("x",)),), 24.0)
+        problem = Problem([run], {"gauge": ChannelNoise(np.array([3.0]), np.zeros(1), "given")}, cast(Any, None))
+        found.append(excess(problem, fitted, 0))
+    blocks = DIAGNOSIS.time_blocks
+    assert abs(found[0]) < 4.0 * np.sqrt(2.0 * blocks)
+    assert found[1] == pytest.approx(blocks * 400.0 / 9.0, rel=0.2)
 
 
 def test_windows_leave_out_what_a_shifted_offset_leaves_before_a_press() -> None:

@@ -10,9 +10,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sim_core.rigs import Rig, parse_rig
+from sim_core.rigs import Gel, Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
-from sysid.discretisation.approximations import CONTACT_RANGE, TOUCHING_SURFACE, Approximations, principal
+from sysid.discretisation.approximations import (
+    CONTACT_RANGE,
+    TOUCHING_SURFACE,
+    Approximations,
+    _of_gel_extent,
+    of_instants,
+    principal,
+)
 from sysid.discretisation.error_budget import with_half_range
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import SerialPredictor
@@ -20,7 +27,7 @@ from sysid.model.time_span import rollout_times
 from sysid.observations.observations import Measured, Run
 from sysid.proof.truths import paths, strip
 from sysid.settings.discretisation import DISCRETISATION
-from sysid.solve.discretisation_basis import MODEL, ErrorShape
+from sysid.solve.discretisation_basis import ErrorShape
 
 TIMES = [0.0, 0.06, 0.12, 0.2, 0.3]
 WAY = [[0, 0, 0], [0, 0, -0.006], [0.004, 0.001, -0.007], [0.004, 0.001, -0.007], [0, 0, -0.003]]
@@ -46,13 +53,11 @@ def given(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[App
     scaled = start_of(rig, parameters)
     base = SimpleNamespace(rig=rig, parameters=parameters, scaled=scaled, predictions=[predictor.predict(rig, run)])
     ones = tuple({m.channel: np.ones(m.values.shape) for m in r.measured} for r in [run])
-    shapes = [ErrorShape("mesh", ones), ErrorShape(MODEL, ones)]
-    problem = SimpleNamespace(runs=[run], error_shapes=shapes)
+    problem = SimpleNamespace(runs=[run], refined=[ErrorShape("mesh", ones)])
     return Approximations(predictor, cast(Any, base), cast(Any, problem)), predictor, base, run
 
 
 def test_each_has_its_shape_and_its_size(given: Any) -> None:
-    """What careful models differ in without a name is none of them."""
     found, predictor, base, run = given
     assert [c.name for c in found.columns] == ["mesh", CONTACT_RANGE, TOUCHING_SURFACE]
     assert [(c.mean, c.sd) for c in found.columns] == [
@@ -96,11 +101,46 @@ def test_poses_without_noise_leave_no_motion_open(given: Any) -> None:
 def test_principal_columns_have_the_covariance_of_the_responses() -> None:
     rng = np.random.default_rng(0)
     responses = rng.standard_normal((30, 3)) @ np.diag([3.0, 1.0, 0.01]) @ rng.standard_normal((3, 8))
-    found = principal(responses)
+    found = responses @ principal(responses)
     assert found.shape == (30, 2)
     covariance = responses @ responses.T
     np.testing.assert_allclose(found @ found.T, covariance, atol=2.0 * DISCRETISATION.faint_motion**2)
     assert np.linalg.norm(found[:, 0]) > np.linalg.norm(found[:, 1])
+
+
+def test_what_a_body_follows_at_once_is_an_error_of_each_instant(given: Any) -> None:
+    """Its covariance is that of the readings by the offsets that the draws have at that instant."""
+    found, predictor, base, run = given
+    motions, stay = found.open_motions(0, run), found.offsets(run)
+    assert [p.parameter for p in stay] == [p.parameter for p in motions[0].parts]
+    columns = predictor.predict_responses(base.rig, run, base.parameters, base.scaled, [], stay).derivatives["side"]
+    shifted = np.nan_to_num(columns[..., len(base.parameters) :])
+    errors = of_instants(STAMPS, motions, shifted)
+    assert errors.shape == (len(STAMPS), 6, 20)
+    k = 7
+    draws = np.array([[p.course(STAMPS[k]) for p in m.parts] for m in motions])
+    readings = draws @ shifted[k].T
+    np.testing.assert_allclose(errors[k].T @ errors[k], readings.T @ readings, atol=1e-9 * (readings**2).sum())
+    assert errors[k].any()
+
+
+def test_the_extent_of_a_gel_scales_how_far_its_markers_are_dragged(small_rig: Callable[..., Rig]) -> None:
+    """Of a camera that sees nothing but a gel which is fixed to what it is fixed to, axis by axis."""
+    rig = small_rig()
+    name = next(iter(rig.cameras))
+    gel = next(n for n, b in rig.bodies.items() if isinstance(b, Gel))
+    on_gel = [rig.cameras[name].sees[0].model_copy(update={"body": gel})]
+    camera = rig.cameras[name].model_copy(update={"sees": tuple(on_gel), "mount": rig.bodies[gel].mount})
+    rig = rig.model_copy(update={"cameras": {name: camera}})
+    values = np.random.default_rng(0).standard_normal((5, 4))
+    run = Run("r", "", (), {}, (Measured(name, "tracks", np.arange(5.0), values, tuple("abcd")),), 4.0)
+    found = _of_gel_extent(rig, [run], [cast(Any, SimpleNamespace(values={name: values}))])
+    assert [label for label, _ in found] == [f"gel extent, axis 1 of {name}", f"gel extent, axis 2 of {name}"]
+    whole = sum(shapes[0][name] for _, shapes in found)
+    np.testing.assert_allclose(whole, values - values[0])
+    assert not found[0][1][0][name][:, 1::2].any() and not found[1][1][0][name][:, ::2].any()
+    elsewhere = rig.model_copy(update={"cameras": {name: camera.model_copy(update={"mount": "world"})}})
+    assert _of_gel_extent(elsewhere, [run], [cast(Any, SimpleNamespace(values={name: values}))]) == []
 
 
 def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
@@ -116,7 +156,7 @@ def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
     run = Run("press", "", (), {"gripper": PoseTrajectory(at, *strip.poses(path(at)))}, (blank,), float(path.end_s))
     predictor = SerialPredictor()
     base = SimpleNamespace(rig=rig, parameters=[], scaled=np.zeros(0), predictions=[predictor.predict(rig, run)])
-    problem = SimpleNamespace(runs=[run], error_shapes=[])
+    problem = SimpleNamespace(runs=[run], refined=[])
     found = Approximations(predictor, cast(Any, base), cast(Any, problem))
     table = rig.bodies["table"]
     below = table.pose.model_copy(update={"position_m": (0.0, 0.0, -0.25 * one.thickness)})

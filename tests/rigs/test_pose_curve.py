@@ -171,3 +171,15 @@ def test_the_weight_has_the_least_error_although_the_noise_is_not_known_exactly(
 
         least = min(error(weight) for weight in 10.0 ** np.arange(-10.0, 6.0, 0.25))
         assert error(smoothing.weight(y, known_to * 1e-3)) < 1.5 * least
+
+
+def test_an_axis_without_noise_tells_nothing_of_the_others() -> None:
+    """A recording of a motion in a plane has none across it: along the others all of theirs is smoothed away."""
+    rng = np.random.default_rng(3)
+    noise = 2e-5 * rng.standard_normal((len(STAMPS), 3)) * [1.0, 0.0, 1.0]
+    still = np.zeros((len(STAMPS), 3)) + noise
+    turns = Rotation.identity(len(STAMPS)).as_quat()
+    curve = PoseTrajectory.from_samples(STAMPS, still, turns).smoothed().curve
+    left = curve.sample(STAMPS)[0]
+    assert left[:, [0, 2]].std() < 0.15 * 2e-5
+    assert not left[:, 1].any()
