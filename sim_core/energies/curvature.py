@@ -160,7 +160,7 @@ class CurvaturePatches:
         if rows.shape[1] < 3:
             return np.zeros(len(rows), dtype=bool)
         sizes = np.linalg.svd(rows, compute_uv=False)
-        return (self.inside.sum(axis=1) >= 3) & (sizes[:, 2] > SINGULAR_RATIO * sizes[:, 0])
+        return np.asarray((self.inside.sum(axis=1) >= 3) & (sizes[:, 2] > SINGULAR_RATIO * sizes[:, 0]))
 
     def evaluate(
         self, x: np.ndarray, frames: np.ndarray, inverse: Callable[[np.ndarray], np.ndarray]
