@@ -11,7 +11,6 @@ from sim_core.permanent_state import PermanentState
 from sim_core.scene.scene import Frame
 from sim_core.scene.solid_range import LeastVolume
 from sim_core.solve.report import StepReport
-from sim_core.solve.state import State
 from sim_core.state_history import StateHistory
 
 SETTLED_AFTER_S = 3.0
@@ -28,14 +27,6 @@ class NodePath:
 
     times: np.ndarray
     positions: np.ndarray
-
-    def onward(self, state: State, t: float) -> np.ndarray | None:
-        """Where a rollout that is near this one, in a ``state``, comes to until ``t`` [s], if both move alike ``(N,
-        3)``; None if they have not the same nodes."""
-        if self.positions.shape[1:] != state.x.shape:
-            return None
-        here, there = interpolate(self.times, self.positions, np.array([state.t, t]))
-        return np.asarray(state.x + (there - here))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import os
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,9 +30,15 @@ __all__ = [
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One thread of linear algebra a process, and the variation that :mod:`variations` asks for."""
+    """One thread of linear algebra a process, and the variation that :mod:`variations` asks for.
+
+    Where Python is told to keep no bytecode, as it is in many containers, every process that a test starts would
+    compile all that it imports: those keep it in a folder beside, all in the same.
+    """
     threadpool_limits(1)
     variations.vary()
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+        os.environ["PYTHONPYCACHEPREFIX"] = str(Path(tempfile.gettempdir()) / f"thinshell_bytecode_{os.getuid()}")
 
 
 SMALL: dict[str, Any] = {

@@ -44,17 +44,14 @@ __all__ = [
     "Channel",
     "ClockMap",
     "CommandMap",
-    "FrictionFactor",
     "FrictionLaw",
     "MaterialLaw",
     "MechanicsMap",
-    "Normal",
     "NormalLaw",
     "Pointwise",
     "ReadingMap",
     "Response",
     "RigMap",
-    "Sliding",
     "Strained",
 ]
 
@@ -246,16 +243,6 @@ class FieldMap(Effect):
         return dict(zip(self.formula.arguments[4:], self.factor(places, time, values).d[4:], strict=True))
 
 
-@dataclass(frozen=True)
-class Normal:
-    """Normal contact per unit area at n gaps: ``energy`` [J/m^2], ``pressure`` [Pa], positive where it parts the
-    surfaces, ``slope`` = -dp/dg [Pa/m], ``(n,)`` each."""
-
-    energy: Array
-    pressure: Array
-    slope: Array
-
-
 class NormalLaw(Effect):
     """Contact pressure beside that which keeps surfaces apart: attraction, a soft layer between them.
 
@@ -279,36 +266,6 @@ class NormalLaw(Effect):
     def reach(self, values: Values) -> float:
         """Gap [m] from which on it is zero."""
 
-    def normal(self, gap: Array, values: Values) -> Normal:
-        """Energy, pressure and slope at gaps [m] ``(n,)``."""
-        found = self.energy.at(values, gap)
-        return Normal(found.v, -found.d[0], found.second(0, 0))
-
-    def normal_by(self, gap: Array, values: Values) -> Mapping[str, Array]:
-        """Derivatives of the pressure by each parameter ``(n,)``."""
-        found = self.energy.at(values, gap)
-        return {name: -found.second(i, 0) for i, name in enumerate(self.energy.arguments) if i}
-
-
-@dataclass(frozen=True)
-class Sliding:
-    """Points in contact at the start of a step, ``(n,)`` each: ``pressure`` [Pa] and slip ``speed`` [m/s] of the last
-    step."""
-
-    pressure: Array
-    speed: Array
-
-
-@dataclass(frozen=True)
-class FrictionFactor:
-    """What the friction coefficient is multiplied by, ``(n,)``, and its derivatives by pressure, by slip speed, and by
-    each parameter, ``(n,)`` each."""
-
-    value: Array
-    by_pressure: Array
-    by_speed: Array
-    by_parameter: Mapping[str, Array]
-
 
 class FrictionLaw(Effect):
     """A factor on the coefficient of friction, in one formula."""
@@ -317,12 +274,6 @@ class FrictionLaw(Effect):
     @abstractmethod
     def factor(self) -> Law:
         """The factor as a function of pressure [Pa], slip speed [m/s], and parameters of the effect by their names."""
-
-    def friction(self, at: Sliding, values: Values) -> FrictionFactor:
-        """The factor and its derivatives, at points in contact."""
-        found = self.factor.at(values, at.pressure, at.speed)
-        by = dict(zip(self.factor.arguments[2:], found.d[2:], strict=True))
-        return FrictionFactor(found.v, found.d[0], found.d[1], by)
 
 
 Memory = TypeVar("Memory")
@@ -381,10 +332,6 @@ class ReadingMap(Effect):
     def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
         """Derivatives of a loss by the readings, from those by what is reported, ``(k, ...)`` both."""
 
-    @abstractmethod
-    def memory_s(self, values: Values) -> float:
-        """Length of the past [s] that a report depends on; 0 where each depends on its own reading alone."""
-
 
 class Additive(ReadingMap):
     """A sensor that adds something to the readings, whatever they are: derivatives pass it as they are."""
@@ -401,9 +348,6 @@ class Additive(ReadingMap):
 
     def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
         return weights
-
-    def memory_s(self, values: Values) -> float:
-        return 0.0
 
 
 class Pointwise(ReadingMap):
@@ -425,9 +369,6 @@ class Pointwise(ReadingMap):
 
     def pull(self, channel: Channel, readings: Array, weights: Array, values: Values) -> Array:
         return np.asarray(np.einsum("...ij,...i->...j", self.slope(channel, readings, values), weights))
-
-    def memory_s(self, values: Values) -> float:
-        return 0.0
 
 
 class Linear(Pointwise):

@@ -56,9 +56,6 @@ class RollingShutter(ReadingMap):
         seen.add_speed_back(seen.late * weights, out)
         return np.asarray(out)
 
-    def memory_s(self, values: Values) -> float:
-        return abs(values["readout_s"])
-
 
 @dataclass(frozen=True)
 class _Seen:

@@ -18,9 +18,6 @@ from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, ReadingMap
 from sim_core.rigs import Rig, WrenchSensor
 
-MEMORY = 10.0
-"""Past, in time constants, that a reading depends on: what is older counts by less than 5e-5."""
-
 
 class WrenchLowPass(ReadingMap):
     """A wrench sensor with a filter that nobody mentioned."""
@@ -62,9 +59,6 @@ class WrenchLowPass(ReadingMap):
             carried = fade[k] * total
         out[order[:1]] += w[:1] + carried
         return np.asarray(out)
-
-    def memory_s(self, values: Values) -> float:
-        return MEMORY * values["tau_s"]
 
 
 def _steps(stamps: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -63,7 +63,7 @@ class Bending(ElementValues):
         frames = material_frames(mesh.nodes, mesh.triangles, axis)
         count = len(mesh.triangles)
         self.rigid = np.zeros(count, dtype=bool) if held is None else held[mesh.triangles].all(axis=1)
-        self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, mesh.areas, self.rigid)
+        self._kappa = curvature_operator(mesh.nodes, mesh.triangles, self.hinges, frames, self.rigid)
         self._hinge = np.ascontiguousarray(self.hinges.nodes + node_offset, dtype=np.int32)
         self._d = np.zeros((count, 3, 3))
         self._yield_curvature, self._yield_share = np.inf, np.ones(count)

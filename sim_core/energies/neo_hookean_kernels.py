@@ -8,9 +8,6 @@ from sim_core.energies.projection import negative_modes
 HISTORY_J = 0.1
 """S_dev grows like 1/J; the memory of a point crushed below this J is taken as if it were at this J."""
 
-REGULAR_J = 0.05
-"""Least J at all points of an element for which its Hessian is formed with a division by J."""
-
 # Places in the rows of constants that the kernels read, one an element: factors on W_dev and on the bulk energy, and a
 # switch.
 SHARE, BULK_SHARE, REMEMBERS = range(3)

@@ -33,7 +33,7 @@ class NewtonSettings:
 class StepReport:
     """What happened in a step. ``iterations``: of both Newtons; ``factorisations``: tangents that they took;
     ``residual_n``: largest free force imbalance [N]; ``min_gap_m``: smallest contact gap; ``tightest``: contact
-    term that has it; ``left_m``: part of the prescribed motion that was not made; ``parts``: in how many parts the step
+    term that has it; ``parts``: in how many parts the step
     was made, of which the others are of the last one."""
 
     result: Result
@@ -45,7 +45,6 @@ class StepReport:
     contacts: int
     min_gap_m: float
     tightest: str = ""
-    left_m: float = 0.0
     parts: int = 1
 
     @property

@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sysid.noise.channel_noise import ChannelNoise
-from sysid.noise.whitening import Whitening
+from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.settings.noise import NOISE
 
 COLOURS, SHARES = 1.0 - np.geomspace(0.5, 0.015, 12), np.linspace(0.04, 0.94, 11)
@@ -44,30 +43,10 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
     if not chosen:
         return None
 
-    def loss(rho: float, white: float) -> tuple[float, float]:
-        """-2 log L at the best variance, and that."""
-        squares = logs = 0.0
-        number = 0
-        for values, t in chosen:
-            good = np.isfinite(values)
-            one = np.ones(values.shape[1])
-            whitening = Whitening(ChannelNoise(one, rho * one, "", white=white * one), good, t)
-            course = np.vander((t - t[0]) / max(t[-1] - t[0], 1e-300), NOISE.trend_degree + 1)
-            course = np.broadcast_to(course[:, None], (*values.shape, NOISE.trend_degree + 1))
-            both = whitening(np.concatenate([np.where(good, values, 0.0)[..., None], course], axis=-1))
-            logs -= 2.0 * whitening.log_determinant
-            for column, seen in zip(both.transpose(1, 0, 2), good.T, strict=True):
-                y, x = column[:, 0], column[:, 1:]
-                gram = x.T @ x
-                squares += float(y @ y - (x.T @ y) @ np.linalg.solve(gram, x.T @ y))
-                logs += float(np.linalg.slogdet(gram)[1])
-                number += int(seen.sum()) - NOISE.trend_degree - 1
-        variance = max(squares / number, 1e-300)
-        return number * (np.log(variance) + 1.0) + logs, variance
-
-    alone = min(loss(rho, 0.0)[0] for rho in (0.0, *np.linspace(0.05, NOISE.largest_correlation, 20)))
+    colours = np.array([0.0, *np.linspace(0.05, NOISE.largest_correlation, 20)])
+    alone = float(_loss(chosen, colours, np.zeros(len(colours)))[0].min())
     rho, white = (grid.ravel() for grid in np.meshgrid(COLOURS, SHARES))
-    found, variance = np.array([loss(r, w) for r, w in zip(rho, white, strict=True)]).T
+    found, variance = _loss(chosen, rho, white)
     if alone - float(found.min()) < 2.0 * NOISE.white_part_gain:
         return None
     found += prior_loss(rho)
@@ -77,6 +56,51 @@ def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | 
     slow = float(weight @ (variance * (1.0 - white) * (1.0 + rho) / (1.0 - rho))) / of_coloured
     whole = of_white + of_coloured
     return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), NOISE.largest_correlation), of_white / whole)
+
+
+def _loss(
+    stretches: Sequence[tuple[np.ndarray, np.ndarray]], rho: np.ndarray, white: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """-2 log L at the best variance, and that, for correlations and white shares ``(g,)`` each."""
+    squares, logs, number = np.zeros(len(rho)), np.zeros(len(rho)), 0
+    degree = NOISE.trend_degree + 1
+    for values, t in stretches:
+        good, at = np.isfinite(values), in_sampling_intervals(t)
+        course = np.vander((t - t[0]) / max(t[-1] - t[0], 1e-300), degree)
+        for pattern in np.unique(good, axis=1).T:
+            alike = (good == pattern[:, None]).all(axis=0)
+            count = int(alike.sum())
+            gram, log_determinant = _correlated(
+                np.hstack([values[pattern][:, alike], course[pattern]]), at[pattern], rho, white
+            )
+            of_y, x_y, x_x = gram[:, :count, :count], gram[:, count:, :count], gram[:, count:, count:]
+            explained = np.einsum("gij,gij->g", x_y, np.linalg.solve(x_x, x_y))
+            squares += np.trace(of_y, axis1=1, axis2=2) - explained
+            logs += count * (log_determinant + np.linalg.slogdet(x_x)[1])
+            number += count * (int(pattern.sum()) - degree)
+    variance = np.maximum(squares / number, 1e-300)
+    return number * (np.log(variance) + 1.0) + logs, variance
+
+
+def _correlated(
+    values: np.ndarray, at: np.ndarray, rho: np.ndarray, white: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """V^T K^-1 V ``(g, m, m)`` and log |K| ``(g,)`` of values V ``(n, m)`` at times ``at`` in sampling intervals, by
+    the innovations of a Kalman filter for the coloured part, for all correlations and white shares ``(g,)`` at once."""
+    gram, log_determinant = np.zeros((len(rho), values.shape[1], values.shape[1])), np.zeros(len(rho))
+    state, unknown = np.zeros((len(rho), values.shape[1])), 1.0 - white
+    for row, pause in zip(values, np.diff(at, prepend=at[0]), strict=True):
+        kept = rho**pause
+        state *= kept[:, None]
+        unknown = kept**2 * unknown + (1.0 - kept**2) * (1.0 - white)
+        variance = unknown + white
+        ahead = row - state
+        scaled = ahead / np.sqrt(variance)[:, None]
+        gram += scaled[:, :, None] * scaled[:, None]
+        log_determinant += np.log(variance)
+        state += (unknown / variance)[:, None] * ahead
+        unknown *= white / variance
+    return gram, log_determinant
 
 
 def prior_loss(rho: np.ndarray) -> np.ndarray:

@@ -1,16 +1,10 @@
 """Rollouts and other work on threads, one a core."""
 
-import os
-import signal
-import subprocess
-import sys
 import threading
-import time
 from concurrent.futures import CancelledError
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from sim_core import batch
 from sim_core.batch import rollouts
@@ -77,19 +71,6 @@ def test_an_empty_batch_and_one_with_too_few_poses(small_rig, visit):
         rollouts(small_rig(), VARIANTS[:3], [visit(*RUB)], TIMES)
 
 
-def test_workers_leave_the_other_cores_to_each_other():
-    """One thread of linear algebra, where a library would take as many as there are cores."""
-    with threadpool_limits(2):
-        with worker_threads(1) as pool:
-            threads = pool.submit(_threads).result()
-        assert threads and set(threads) == {1}
-        assert set(_threads()) == {2}
-
-
-def _threads() -> list[int]:
-    return [library["num_threads"] for library in threadpool_info()]
-
-
 def test_rollouts_that_are_not_wanted_any_more_end(small_rig, visit):
     """One of an hour, of which the block is left in its first steps; what waits does not begin."""
     scene, going = build_scene(small_rig()), threading.Event()
@@ -102,42 +83,3 @@ def test_rollouts_that_are_not_wanted_any_more_end(small_rig, visit):
         running, waiting = pool.submit(rollout), pool.submit(rollout)
         assert going.wait(300.0)
     assert isinstance(running.exception(), CancelledError) and waiting.cancelled()
-
-
-INTERRUPTED = """
-import sys, time
-from pathlib import Path
-from sim_core.threads import end_if_unwanted, worker_threads
-
-def work(folder, k):
-    Path(folder, str(k)).touch()
-    while True:
-        time.sleep(0.01)
-        end_if_unwanted()
-
-with worker_threads(2) as pool:
-    for future in [pool.submit(work, sys.argv[1], k) for k in range(40)]:
-        future.result()
-"""
-
-
-def heard():
-    """A shell lets what it runs in the background ignore Ctrl-C, and children inherit that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
-    """And a script needs no ``if __name__``."""
-    script, started = tmp_path / "batch.py", tmp_path / "started"
-    script.write_text(INTERRUPTED)
-    started.mkdir()
-    batch = subprocess.Popen(
-        [sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True, preexec_fn=heard
-    )
-    while len(list(started.iterdir())) < 2:
-        time.sleep(0.1)
-        assert batch.poll() is None
-    os.kill(batch.pid, signal.SIGINT)
-    _, told = batch.communicate(timeout=300)
-    assert "KeyboardInterrupt" in told
-    assert len(list(started.iterdir())) == 2

@@ -8,7 +8,6 @@ import textwrap
 import time
 
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from sim_core.errors import WorkerError
 from sim_core.processes import worker_pool
@@ -53,45 +52,6 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     raise AssertionError("the worker goes on working for nobody")
 
 
-INTERRUPTED = textwrap.dedent(
-    """
-    import sys, time
-    from pathlib import Path
-    from sim_core.processes import worker_pool
-
-    def work(folder, k):
-        Path(folder, str(k)).touch()
-        time.sleep(5)
-
-    if __name__ == "__main__":
-        with worker_pool(2) as pool:
-            for future in [pool.submit(work, sys.argv[1], k) for k in range(40)]:
-                future.result()
-    """
-)
-
-
-def heard():
-    """A shell lets what it runs in the background ignore Ctrl-C, and children inherit that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
-    script, started = tmp_path / "batch.py", tmp_path / "started"
-    script.write_text(INTERRUPTED)
-    started.mkdir()
-    batch = subprocess.Popen(
-        [sys.executable, str(script), str(started)], stderr=subprocess.PIPE, text=True, preexec_fn=heard
-    )
-    while len(list(started.iterdir())) < 2:
-        time.sleep(0.1)
-        assert batch.poll() is None
-    batch.send_signal(signal.SIGINT)
-    _, told = batch.communicate(timeout=300)
-    assert "KeyboardInterrupt" in told
-    assert len(list(started.iterdir())) <= 4, "all 40 would take 100 s"
-
-
 UNGUARDED = """
 from sim_core.processes import worker_pool
 
@@ -130,16 +90,3 @@ def test_a_process_that_ends_while_another_is_being_started_is_told_as_one_that_
 
         pool._adjust_process_count = start_late
         pool.submit(os.getpid)
-
-
-def test_workers_leave_the_other_cores_to_each_other():
-    """One thread of linear algebra each, and one beside them, where a library would take as many as there are cores."""
-    with threadpool_limits(2):
-        with worker_pool(1) as pool:
-            threads = [*pool.submit(_threads).result(), *_threads()]
-        assert threads and set(threads) == {1}
-        assert set(_threads()) == {2}
-
-
-def _threads() -> list[int]:
-    return [library["num_threads"] for library in threadpool_info()]

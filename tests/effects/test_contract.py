@@ -123,7 +123,7 @@ def _incomplete() -> Iterator[tuple[type[Effect], str]]:
         return type("Unfinished", (base,), body)
 
     yield made(NormalLaw, "targets", "reach"), "energy"
-    yield made(ReadingMap, "targets", "read", "push", "memory_s"), "pull"
+    yield made(ReadingMap, "targets", "read", "push"), "pull"
     yield made(BodyForce, "targets", "terms"), "numbers"
     yield made(NormalLaw, "targets", "reach", "energy", title=""), "title"
     yield made(NormalLaw, "targets", "reach", "energy", example={}), "example"

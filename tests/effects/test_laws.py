@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim_core.effects import all_effects
-from sim_core.effects.hooks import FieldMap, FrictionLaw, MaterialLaw, NormalLaw, Sliding, Strained
+from sim_core.effects.hooks import FieldMap, FrictionLaw, MaterialLaw, NormalLaw, Strained
 from sim_core.energies.solid_strain import SHEAR
 from sim_core.materials.elastic import plane_stress
 
@@ -109,27 +109,28 @@ def test_normal_laws(name: str) -> None:
     reach = effect.reach(values)
     gap = reach * np.array([-0.2, 0.1, 0.4, 0.8, 1.3])
     h = STEP * reach
-    low, here, high = (effect.normal(gap + s * h, values) for s in (-1.0, 0.0, 1.0))
-    most = float(np.abs(here.pressure).max())
-    assert -(high.energy - low.energy) / (2 * h) == pytest.approx(here.pressure, rel=1e-5, abs=1e-6 * most)
-    steepest = float(np.abs(here.slope).max())
-    assert -(high.pressure - low.pressure) / (2 * h) == pytest.approx(here.slope, rel=1e-5, abs=1e-5 * steepest)
-    assert here.energy[-1] == here.pressure[-1] == here.slope[-1] == 0.0
-    against_parameters(values, lambda v: effect.normal(gap, v).pressure, dict(effect.normal_by(gap, values)))
+    low, here, high = (effect.energy.at(values, gap + s * h) for s in (-1.0, 0.0, 1.0))
+    slope = here.second(0, 0)
+    assert (high.v - low.v) / (2 * h) == pytest.approx(here.d[0], rel=1e-5, abs=1e-6 * np.abs(here.d[0]).max())
+    assert (high.d[0] - low.d[0]) / (2 * h) == pytest.approx(slope, rel=1e-5, abs=1e-5 * np.abs(slope).max())
+    assert here.v[-1] == here.d[0, -1] == slope[-1] == 0.0
+    by = {name: here.second(i, 0) for i, name in enumerate(effect.energy.arguments) if i}
+    against_parameters(values, lambda v: effect.energy.at(v, gap).d[0], by)
 
 
 @pytest.mark.parametrize("name", effects_of(FrictionLaw))
 def test_friction_laws(name: str) -> None:
     effect, values = all_effects()[name], dict(all_effects()[name].example)
-    at = Sliding(np.array([50.0, 400.0, 3e3, 2e4]), np.array([1e-4, 1e-3, 8e-3, 5e-2]))
-    here = effect.friction(at, values)
-    for field, slope in (("pressure", here.by_pressure), ("speed", here.by_speed)):
-        h = STEP * getattr(at, field)
-        high, low = (effect.friction(replace(at, **{field: getattr(at, field) + s * h}), values) for s in (1.0, -1.0))
+    at = np.array([[50.0, 400.0, 3e3, 2e4], [1e-4, 1e-3, 8e-3, 5e-2]])  # pressures [Pa] and speeds [m/s]
+    here = effect.factor.at(values, *at)
+    for k, slope in enumerate(here.d[:2]):
+        h = STEP * at * (np.arange(2) == k)[:, None]
+        high, low = (effect.factor.at(values, *(at + s * h)) for s in (1.0, -1.0))
         size = float(np.abs(slope).max())
-        assert (high.value - low.value) / (2 * h) == pytest.approx(slope, rel=1e-5, abs=1e-5 * size), field
-    assert (here.value > 0.0).all()
-    against_parameters(values, lambda v: effect.friction(at, v).value, dict(here.by_parameter))
+        assert (high.v - low.v) / (2 * h[k]) == pytest.approx(slope, rel=1e-5, abs=1e-5 * size), k
+    assert (here.v > 0.0).all()
+    by = dict(zip(effect.factor.arguments[2:], here.d[2:], strict=True))
+    against_parameters(values, lambda v: effect.factor.at(v, *at).v, by)
 
 
 @pytest.mark.parametrize("name", effects_of(FieldMap))

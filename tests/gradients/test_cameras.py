@@ -32,17 +32,17 @@ def test_cameras_against_other_cameras(name):
     tape = Tape(scene, poses, times)
     drawn = {camera: weights(tape.trace)[camera]}
     found = Backward(tape, directions(rig, names)).gradient(0.0, drawn).parameters
-    for parameter in given:
-        if parameter.name not in names:
-            continue
-        h = 1e-4 * abs(parameter.value) or 1e-6
-        ends = []
-        for side in (h, -h):
-            there = build_scene(with_parameters(rig, {parameter.name: parameter.value + side}))
-            ends.append(np.nansum(simulate(there, poses, times).outputs[camera] * drawn[camera]))
-        size = np.nansum(np.abs(tape.trace.outputs[camera] * drawn[camera]))
-        expected = pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-5, abs=1e-11 * size / h)
-        assert found[parameter.name] == expected, parameter.name
+    steps = {p.name: (p.value, 1e-4 * abs(p.value) or 1e-6) for p in given if p.name in names}
+    others = {
+        f"{name} {side:+g}": with_parameters(rig, {name: value + side * h}).cameras[camera]
+        for name, (value, h) in steps.items()
+        for side in (1.0, -1.0)
+    }
+    seen = simulate(build_scene(rig.model_copy(update={"cameras": others})), poses, times).outputs
+    size = np.nansum(np.abs(tape.trace.outputs[camera] * drawn[camera]))
+    for name, (_, h) in steps.items():
+        up, down = (np.nansum(seen[f"{name} {side:+g}"] * drawn[camera]) for side in (1.0, -1.0))
+        assert found[name] == pytest.approx((up - down) / (2.0 * h), rel=1e-5, abs=1e-11 * size / h), name
 
 
 def test_points_out_of_sight_and_a_camera_on_a_hand_that_gives_way(small_rig, visit):

@@ -7,7 +7,7 @@ import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.noise.estimate import estimate_noise
-from sysid.noise.mixture import mixture_of
+from sysid.noise.mixture import _correlated, mixture_of
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 
@@ -41,6 +41,16 @@ def test_both_parts_are_found_in_short_rests() -> None:
 @pytest.mark.parametrize(("white", "coloured", "rho"), [(1.0, 0.0, 0.9), (0.0, 1.0, 0.6), (0.0, 1.0, 0.95)])
 def test_one_part_is_not_made_two(white: float, coloured: float, rho: float) -> None:
     assert [mixture_of(rests(seed, white, coloured, rho)) for seed in range(8)] == [None] * 8
+
+
+def test_the_filter_weighs_values_by_the_covariance_of_both_parts() -> None:
+    rng = np.random.default_rng(1)
+    at, values = np.cumsum(rng.integers(1, 4, 30)).astype(float), rng.normal(size=(30, 4))
+    rho, white = np.array([0.0, 0.6, 0.98]), np.array([0.0, 0.3, 0.9])
+    for gram, log_determinant, r, w in zip(*_correlated(values, at, rho, white), rho, white, strict=True):
+        covariance = w * np.eye(30) + (1.0 - w) * r ** np.abs(at[:, None] - at)
+        np.testing.assert_allclose(gram, values.T @ np.linalg.solve(covariance, values), rtol=1e-10, atol=1e-10)
+        assert log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], abs=1e-10)
 
 
 def test_blocks_of_such_noise_are_no_misfit() -> None:

@@ -55,7 +55,7 @@ def simulator(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 
 @pytest.fixture
 def client(simulator: NodeProcess) -> Iterator[Client]:
-    """A client that hears the simulator, which is back at its start."""
+    """A client that hears the simulator, which is back at its start; between tests that stands still."""
     from std_srvs.srv import SetBool, Trigger
 
     client = Client("client")
@@ -65,6 +65,7 @@ def client(simulator: NodeProcess) -> Iterator[Client]:
     for topic in client.heard:
         client.wait(lambda topic=topic: client.heard[topic], f"nothing on {topic}")  # type: ignore[misc]
     yield client
+    client.call(SetBool, "thinshell_sim/pause", SetBool.Request(data=True))
     client.node.destroy_node()
 
 

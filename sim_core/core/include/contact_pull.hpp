@@ -252,13 +252,24 @@ template <class Term> struct Noting {
   Noted speed() const { return speed_at = noted(held.speed[k]); }
 };
 
-// Points of a contact whose forces are on nodes alone. Derived gives `known(of, k)` and the like.
+// Points of a contact whose forces are on nodes alone.
 template <class Term> struct PullPoints {
   using One = typename Term::template One<Noting<Term>>;
   HeldWeights held;  // of the memory after the step, then before it
 
   // `d_law`: derivatives of the numbers of its law (8, columns).
   PullPoints(Term &term, const Record &record, const double *d_law) : t_(term), r_(record), d_law_(d_law) {}
+
+  void to_end(std::vector<double> &end) {
+    for (const Point &p : points_) {
+      if (!p.given.with_end) continue;
+      seed(p);
+      trace_.sweep(p.first, p.last);
+      for (int n = 0; n < count(p); ++n) end[3 * p.one->node(n / 3) + n % 3] += of(p.one->x[n]);
+      trace_.forget(p.first, p.last);
+    }
+    if (!points_.empty()) trace_.forget(added_, points_.front().first);  // numbers of added laws, on which all add up
+  }
 
  protected:
   struct Point {
@@ -287,26 +298,16 @@ template <class Term> struct PullPoints {
     p.last = trace_.size();
     points_.push_back(std::move(p));
   }
-  template <class F> void to_end(std::vector<double> &end, F &&node) {
-    for (const Point &p : points_) {
-      if (!p.given.with_end) continue;
-      seed(p);
-      trace_.sweep(p.first, p.last);
-      for (int n = 0; n < count(p); ++n) end[3 * node(p, n / 3) + n % 3] += of(p.one->x[n]);
-      trace_.forget(p.first, p.last);
-    }
-    if (!points_.empty()) trace_.forget(added_, points_.front().first);  // numbers of added laws, on which all add up
-  }
   // `measured(point, of)` takes weights of what was measured at rest.
-  template <class F, class M> void to_start(StepWeights &w, HeldWeights &before, F &&node, M &&measured) {
+  template <class M> void to_start(StepWeights &w, HeldWeights &before, M &&measured) {
     for (const Point &p : points_) {
       seed(p);
       for (int n = 0; n < count(p); ++n) {
         const Noted &force = p.one->out[n];
-        if (force.at) trace_.weight(force.at) += w.residual[3 * node(p, n / 3) + n % 3];
+        if (force.at) trace_.weight(force.at) += w.residual[3 * p.one->node(n / 3) + n % 3];
       }
       trace_.sweep(p.first, p.last);
-      for (int n = 0; n < count(p); ++n) w.start[3 * node(p, n / 3) + n % 3] += of(p.one->x_start[n]);
+      for (int n = 0; n < count(p); ++n) w.start[3 * p.one->node(n / 3) + n % 3] += of(p.one->x_start[n]);
       for (int i = 0; i < 3; ++i) before.anchor[3 * p.k + i] = of(p.one->anchor[i]);
       before.load[p.k] = of(p.given.load_at);
       before.speed[p.k] = of(p.given.speed_at);
@@ -350,18 +351,14 @@ template <> struct Pull<Surface> : PullPoints<Surface> {
     for (int s = 0; s < t_.samples_; ++s)
       if (t_.acts(s)) take(s, x, dt, t_.held, t_.step_.load[s] > 0.0);
   }
-  void to_end(std::vector<double> &end) { PullPoints::to_end(end, node); }
   void to_start(StepWeights &w) {
     HeldWeights before;
     before.resize(t_.samples_);
-    PullPoints::to_start(w, before, node, [&](const Point &p, auto &&of) {
+    PullPoints::to_start(w, before, [&](const Point &p, auto &&of) {
       w.elements.surface_area[t_.first_sample_ + p.k] += of(p.one->area);
     });
     held = std::move(before);
   }
-
- private:
-  static int node(const Point &p, int n) { return p.one->nodes[n]; }
 };
 
 template <> struct Pull<EdgePairs> : PullPoints<EdgePairs> {
@@ -379,24 +376,19 @@ template <> struct Pull<EdgePairs> : PullPoints<EdgePairs> {
     for (int k = 0; any && k < t_.count(); ++k)
       if (t_.acts(k)) take(k, x, dt, t_.start_, t_.step_.load[k] > 0.0);
   }
-  void to_end(std::vector<double> &end) {
-    PullPoints::to_end(end, [this](const Point &p, int n) { return t_.step_.ends(p.k, n); });
-  }
   void to_start(StepWeights &w) {
     HeldWeights of_candidates, before;
     const Keys &now = t_.candidates_.inner();
     of_candidates.resize(now.size());
-    PullPoints::to_start(
-        w, of_candidates, [this](const Point &p, int n) { return t_.step_.ends(p.k, n); },
-        [&](const Point &p, auto &&of) {
-          const auto [i, j] = t_.edges_of(now[p.k]);
-          const double area = of(p.one->area), parallel = of(p.one->parallel) * EdgePairs::parallel_edges;
-          const bool both = !(r_.edge_area[j] < 0.0);
-          w.elements.edge_area[i] += (both ? 0.5 : 1.0) * area;
-          if (both) w.elements.edge_area[j] += 0.5 * area;
-          w.elements.edge_square[i] += parallel * r_.edge_square[j];
-          w.elements.edge_square[j] += parallel * r_.edge_square[i];
-        });
+    PullPoints::to_start(w, of_candidates, [&](const Point &p, auto &&of) {
+      const auto [i, j] = t_.edges_of(now[p.k]);
+      const double area = of(p.one->area), parallel = of(p.one->parallel) * EdgePairs::parallel_edges;
+      const bool both = !(r_.edge_area[j] < 0.0);
+      w.elements.edge_area[i] += (both ? 0.5 : 1.0) * area;
+      if (both) w.elements.edge_area[j] += 0.5 * area;
+      w.elements.edge_square[i] += parallel * r_.edge_square[j];
+      w.elements.edge_square[j] += parallel * r_.edge_square[i];
+    });
     before.keys = t_.keys;
     before.resize(before.keys.size());
     match(now, before.keys, [&](int from, int to) { copy(of_candidates, from, before, to); });

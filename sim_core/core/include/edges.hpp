@@ -61,34 +61,16 @@ template <class S, class A = double> struct EdgeStep {
   }
 };
 
-class EdgePairs {
+class EdgePairs : public Frictional<EdgePairs> {
  public:
   EdgePairs(const Record &record, int which)
-      : r_(record), ours_(r_.edge_start[2 * which]), theirs_(r_.edge_start[2 * which + 1]), once_(r_.edge_once[which]),
-        counts_{r_.edge_start[2 * which + 1] - ours_, r_.edge_start[2 * which + 2] - theirs_},
-        margin_(r_.edge_margin[which]), law_(r_.edge_law + 8 * which, r_.edge_law + 8 * which + 8),
-        d_law_(r_.d_edge_law + 8 * which * r_.columns), added_(r_, r_.contacts + r_.surfaces + which), step_(0, nullptr, nullptr, nullptr, nullptr),
-        candidates_(Primitives(edge(ours_), nullptr, counts_[0], 2), Primitives(edge(theirs_), nullptr, counts_[1], 2),
-                    once_, [this](const double *x, int i, int j) { return distance(x, i, j); }) {}
-  EdgePairs(const EdgePairs &) = delete;
+      : Frictional(record, record.edge_margin[which], record.edge_law + 8 * which,
+                   record.d_edge_law + 8 * which * record.columns, record.contacts + record.surfaces + which,
+                   edges(record, 2 * which), edges(record, 2 * which + 1), record.edge_once[which],
+                   [this](const double *x, int i, int j) { return distance(x, i, j); }),
+        ours_(r_.edge_start[2 * which]), theirs_(r_.edge_start[2 * which + 1]), step_(0, nullptr, nullptr, nullptr, nullptr) {}
 
-  // What the pairs `keys` remember.
-  Held held;
-  Keys keys;
-
-  void guard(bool on) {
-    set_guard(law_.data(), on);
-    seen_.clear();
-  }
-
-  // As of Surface.
-  bool prepare(const double *x, const double *towards, bool more) {
-    const auto changed = candidates_.search(x, towards, 3 * r_.nodes, law_[OFFSET] + law_[RANGE], margin_, more);
-    if (changed.inner) list();
-    return changed.outer;
-  }
-  void recouple(const double *x, const double *towards) { candidates_.recouple(x, towards); }
-  bool outran(const double *x) const { return candidates_.outran(x); }
+  Keys keys;  // of the pairs that are remembered
 
   void couple(std::vector<PairTable::Pair> &pairs) const {
     for (int64_t key : candidates_.coupled()) {
@@ -142,106 +124,33 @@ class EdgePairs {
     return way;
   }
 
-  // Memory after the step that ended at `x`, from forces that were evaluated last.
+  // As of all, and of which pairs.
   void end(const double *x, double dt) {
-    Held after;
-    after.resize(count(), 0);
-    const bool any = look(x);
-    for (int k = 0; any && k < count(); ++k) {
-      if (!(step_.load[k] > 0.0)) continue;
-      const Vec3 kept = kept_slip(step_.slip(rows(x), rows(x_start_), anchor(), k), step_.limit[k], step_.spring[k], dt, after.speed[k]);
-      std::copy(kept.a, kept.a + 3, &after.anchor[3 * k]);
-      after.load[k] = step_.load[k];
-    }
-    after.d_anchor.swap(held.d_anchor);
-    after.d_load.swap(held.d_load);
-    after.d_speed.swap(held.d_speed);
-    held = std::move(after);
+    Frictional::end(x, dt);
     keys = candidates_.inner();
   }
 
-  // As of Surface.
-  void add_columns(const double *x, const double *dx_start, double *out) {
-    if (!look(x)) return;
-    for (int k = 0; k < count(); ++k)
-      if (acts(k))
-        for (int first = 0; first < r_.columns; first += lanes) {
-          One<InColumns> one(*this, k, x, {*this, k, first, dx_start, nullptr});
-          for (int a = 0; a < 4; ++a) scatter(&one.out[3 * a], 3, out + 3 * step_.ends(k, a) * r_.columns, r_.columns, first);
-        }
-  }
-  void end_columns(const double *x, const double *dx_start, const double *dx, double dt) {
-    Held after;
-    after.resize(count(), r_.columns);
-    const bool any = look(x);
-    for (int k = 0; any && k < count(); ++k)
-      if (step_.load[k] > 0.0)
-        for (int first = 0; first < r_.columns; first += lanes) {
-          One<InColumns> one(*this, k, x, {*this, k, first, dx_start, dx});
-          Lanes speed;
-          const Vec<Lanes, 3> kept = one.slide(dt, speed);
-          scatter(kept.a, 3, &after.d_anchor[3 * k * r_.columns], r_.columns, first);
-          scatter(&one.step.load[0], 1, &after.d_load[k * r_.columns], r_.columns, first);
-          scatter(&speed, 1, &after.d_speed[k * r_.columns], r_.columns, first);
-        }
-    held.d_anchor.swap(after.d_anchor);
-    held.d_load.swap(after.d_load);
-    held.d_speed.swap(after.d_speed);
-  }
-
-  bool acts() const {
-    for (int k = 0; k < count(); ++k)
-      if (acts(k)) return true;
-    return false;
-  }
-  std::pair<int64_t, double> report() const {
-    int64_t loaded = 0;
-    double smallest = nowhere;
-    for (int k = 0; k < count(); ++k) {
-      loaded += step_.load[k] > 0.0;
-      smallest = std::min(smallest, step_.now.gap[k]);
-    }
-    return {loaded, smallest};
-  }
-
  private:
+  friend class Frictional<EdgePairs>;
   template <class> friend struct Pull;
   template <class> friend struct PullPoints;
+  static constexpr int reach = RANGE;
 
   // Squared sine below which the energy of two edges fades (PARALLEL of sim_core/contact/segments.py).
   static constexpr double parallel_edges = 1e-3;
-
-  // Numbers of one pair with their derivatives in some columns, as of Surface.
-  struct InColumns {
-    using S = Lanes;
-    using A = double;
-    const EdgePairs &of;
-    int k, first;
-    const double *dx_start, *dx;
-    Lanes start(std::size_t n) const { return seeded(of.x_start_[n], dx_start + n * of.r_.columns + first); }
-    Lanes end(std::size_t n, double at) const { return dx ? seeded(at, dx + n * of.r_.columns + first) : Lanes(at); }
-    Lanes law(int i) const { return seeded(of.law_[i], of.d_law_ + i * of.r_.columns + first); }
-    Lanes anchor(int i) const { return some(of.start_.anchor, of.start_.d_anchor, 3 * k + i); }
-    double measured(double at) const { return at; }
-    Lanes load() const { return some(of.start_.load, of.start_.d_load, k); }
-    Lanes speed() const { return some(of.start_.speed, of.start_.d_speed, k); }
-    Lanes some(const std::vector<double> &v, const std::vector<double> &d, int n) const {
-      return seeded(v[n], &d[n * of.r_.columns + first]);
-    }
-  };
 
   // One pair of numbers with derivatives: forces on its ends, and its load.
   template <class Given> struct One {
     using S = typename Given::S;
     using A = typename Given::A;
     const EdgePairs &of;
-    int ends[4] = {0, 1, 2, 3};
+    int pair, ends[4] = {0, 1, 2, 3};
     A area, parallel;
     S x[12], x_start[12], out[12], law[8], anchor[3];
     EdgeStep<S, A> step;
 
     One(const EdgePairs &pairs, int k, const double *at, const Given &given)
-        : of(pairs), area(given.measured(of.area_[k])), parallel(given.measured(of.parallel_[k])),
+        : of(pairs), pair(k), area(given.measured(of.area_[k])), parallel(given.measured(of.parallel_[k])),
           step(1, ends, &area, &parallel, &of.side_[k]) {
       for (int a = 0; a < 4; ++a)
         for (int i = 0; i < 3; ++i) {
@@ -261,6 +170,7 @@ class EdgePairs {
     Vec<S, 3> slide(double dt, S &speed) {
       return kept_slip(step.slip(places(), starts(), remembered(), 0), step.limit[0], step.spring[0], dt, speed);
     }
+    int node(std::size_t n) const { return of.step_.ends(pair, n); }
 
    private:
     View<S, 2> places() { return {x, 4, 3}; }
@@ -269,16 +179,19 @@ class EdgePairs {
     View<S, 2> remembered() { return {anchor, 1, 3}; }
   };
 
+  static Primitives edges(const Record &r, int side) {
+    return {r.edge_node + 2 * r.edge_start[side], nullptr, int(r.edge_start[side + 1] - r.edge_start[side]), 2};
+  }
   const int32_t *edge(int64_t i) const { return r_.edge_node + 2 * i; }
   // Our edge and theirs of a pair.
   std::pair<int64_t, int64_t> edges_of(int64_t key) const {
     return {ours_ + candidates_.first(key), theirs_ + candidates_.second(key)};
   }
   int count() const { return step_.count; }
-  bool acts(int k) const { return step_.limit[k] > 0.0 || step_.now.gap[k] < law_[RANGE]; }
-  View<const double, 2> rows(const double *x) const { return {x, r_.nodes, 3}; }
-  View<const double, 1> law() const { return {law_.data(), 8}; }
-  View<const double, 2> anchor() const { return {start_.anchor.data(), count(), 3}; }
+  const Held &before() const { return start_; }
+  double spring(int k) const { return step_.spring[k]; }
+  bool any() const { return count() > 0; }
+  void measure(const double *x) { step_.measure(step_.now, rows(x), law()); }
 
   double distance(const double *x, int i, int j) const {
     const int32_t *p = edge(ours_ + i), *q = edge(theirs_ + j);
@@ -312,28 +225,11 @@ class EdgePairs {
     }
   }
 
-  bool look(const double *x) {
-    if (!count()) return false;
-    if (seen_.empty() || !std::equal(seen_.begin(), seen_.end(), x)) {
-      step_.measure(step_.now, rows(x), law());
-      seen_.assign(x, x + 3 * r_.nodes);
-    }
-    return true;
-  }
-
-  const Record &r_;
   int64_t ours_, theirs_;
-  bool once_;
-  int counts_[2];
-  double margin_;
-  std::vector<double> law_;
-  const double *d_law_, *x_start_ = nullptr;
-  AddedLaws added_;
   std::vector<int> ends_;
-  std::vector<double> area_, parallel_, side_, seen_;
+  std::vector<double> area_, parallel_, side_;
   Held start_;
   EdgeStep<double> step_;
-  Candidates candidates_;
 };
 
 }  // namespace thinshell

@@ -7,39 +7,9 @@
 #include <set>
 #include <vector>
 
-#include "contact.hpp"
-#include "neighbours.hpp"
+#include "frictional.hpp"
 
 namespace thinshell {
-
-// Gap [m] of what has no candidates (FAR of surface_kernels.py).
-constexpr double nowhere = 1e30;
-
-// What the points of a contact remember from one step to the next, with derivatives, columns innermost.
-struct Held {
-  std::vector<double> anchor, load, speed;        // (n, 3), (n), (n)
-  std::vector<double> d_anchor, d_load, d_speed;  // (., columns) each
-
-  void resize(std::size_t count, std::size_t columns) {
-    anchor.assign(3 * count, 0.0);
-    load.assign(count, 0.0);
-    speed.assign(count, 0.0);
-    d_anchor.assign(3 * count * columns, 0.0);
-    d_load.assign(count * columns, 0.0);
-    d_speed.assign(count * columns, 0.0);
-  }
-  void take(int at, const Held &from, int there, std::size_t columns) {
-    auto some = [&](std::vector<double> &to, const std::vector<double> &of, std::size_t width) {
-      std::copy_n(of.begin() + there * width, width, to.begin() + at * width);
-    };
-    some(anchor, from.anchor, 3);
-    some(load, from.load, 1);
-    some(speed, from.speed, 1);
-    some(d_anchor, from.d_anchor, 3 * columns);
-    some(d_load, from.d_load, columns);
-    some(d_speed, from.d_speed, columns);
-  }
-};
 
 // Where samples are nearest to triangles, as the kernel `measure` writes it.
 template <class S> struct Nearest {
@@ -118,50 +88,23 @@ template <class S, class A = double> struct SampleStep {
   }
 };
 
-class Surface {
+class Surface : public Frictional<Surface> {
  public:
   Surface(const Record &record, int which)
-      : r_(record), first_sample_(r_.surface_sample_start[which]), first_triangle_(r_.surface_triangle_start[which]),
+      : Frictional(record, record.surface_margin[which], record.surface_law + 8 * which,
+                   record.d_surface_law + 8 * which * record.columns, record.contacts + which,
+                   samples(record, which), triangles(record, which), false,
+                   [this](const double *x, int s, int t) { return distance(x, s, t); }),
+        first_sample_(r_.surface_sample_start[which]), first_triangle_(r_.surface_triangle_start[which]),
         samples_(r_.surface_sample_start[which + 1] - first_sample_),
         triangles_(r_.surface_triangle_start[which + 1] - first_triangle_), corners_(int(r_.surface_corners)),
-        margin_(r_.surface_margin[which]), law_(r_.surface_law + 8 * which, r_.surface_law + 8 * which + 8),
-        d_law_(r_.d_surface_law + 8 * which * r_.columns), added_(r_, r_.contacts + which),
         step_({own(), samples_, corners_}, {r_.surface_used + first_sample_, samples_}, {weights(), samples_, corners_},
               {triangle(0), triangles_, 3}, {r_.surface_border + 6 * first_triangle_, triangles_, 6},
-              {r_.surface_area + first_sample_, samples_}),
-        candidates_(Primitives(own(), weights(), samples_, corners_), Primitives(triangle(0), nullptr, triangles_, 3), false,
-                    [this](const double *x, int s, int t) { return distance(x, s, t); }) {
+              {r_.surface_area + first_sample_, samples_}) {
     held.resize(samples_, r_.columns);
     first_.assign(samples_ + 1, 0);
     normals_.assign(3 * r_.nodes, 0.0);
   }
-  Surface(const Surface &) = delete;
-
-  Held held;
-
-  void guard(bool on) {
-    set_guard(law_.data(), on);
-    seen_.clear();
-  }
-
-  // Look for candidates on the way from `x` to `towards`; true when the coupled nodes changed.
-  bool prepare(const double *x, const double *towards, bool more) {
-    const auto changed = candidates_.search(x, towards, 3 * r_.nodes, law_[OFFSET] + law_[REACH], margin_, more);
-    if (changed.inner) {
-      const Keys &keys = candidates_.inner();
-      near_.clear();
-      first_.assign(samples_ + 1, 0);
-      for (int64_t key : keys) {
-        near_.push_back(candidates_.second(key));
-        ++first_[candidates_.first(key) + 1];
-      }
-      for (int s = 0; s < samples_; ++s) first_[s + 1] += first_[s];
-      side_.assign(near_.size(), 1.0);
-    }
-    return changed.outer;
-  }
-  void recouple(const double *x, const double *towards) { candidates_.recouple(x, towards); }
-  bool outran(const double *x) const { return candidates_.outran(x); }
 
   // Pairs of the samples' nodes and of the corners of all triangles in the wider search, and of the corners of triangles
   // around one node, which may share in a gap.
@@ -239,93 +182,11 @@ class Surface {
     return way;
   }
 
-  // Memory after the step that ended at `x`, from forces that were evaluated last.
-  void end(const double *x, double dt) {
-    Held after;
-    after.resize(samples_, 0);
-    const bool any = look(x);
-    for (int s = 0; any && s < samples_; ++s) {
-      if (!(step_.load[s] > 0.0)) continue;
-      const Vec3 kept = kept_slip(step_.slip(rows(x), rows(x_start_), anchor(), s), step_.limit[s], spring(s), dt, after.speed[s]);
-      std::copy(kept.a, kept.a + 3, &after.anchor[3 * s]);
-      after.load[s] = step_.load[s];
-    }
-    held.anchor.swap(after.anchor);
-    held.load.swap(after.load);
-    held.speed.swap(after.speed);
-  }
-
-  // What forces change by where positions at the end are held, into (nodes, 3, columns).
-  void add_columns(const double *x, const double *dx_start, double *out) {
-    if (!look(x)) return;
-    for (int s = 0; s < samples_; ++s)
-      if (acts(s))
-        for (int first = 0; first < r_.columns; first += lanes) {
-          One<InColumns> one(*this, s, x, {*this, s, first, dx_start, nullptr});
-          for (std::size_t k = 0; k < one.nodes.size(); ++k)
-            scatter(&one.out[3 * k], 3, out + 3 * one.nodes[k] * r_.columns, r_.columns, first);
-        }
-  }
-  // Derivatives of the memory after the step; before `end`.
-  void end_columns(const double *x, const double *dx_start, const double *dx, double dt) {
-    Held after;
-    after.resize(samples_, r_.columns);
-    const bool any = look(x);
-    for (int s = 0; any && s < samples_; ++s)
-      if (step_.load[s] > 0.0)
-        for (int first = 0; first < r_.columns; first += lanes) {
-          One<InColumns> one(*this, s, x, {*this, s, first, dx_start, dx});
-          Lanes speed;
-          const Vec<Lanes, 3> kept = one.slide(dt, speed);
-          scatter(kept.a, 3, &after.d_anchor[3 * s * r_.columns], r_.columns, first);
-          scatter(&one.step.load[0], 1, &after.d_load[s * r_.columns], r_.columns, first);
-          scatter(&speed, 1, &after.d_speed[s * r_.columns], r_.columns, first);
-        }
-    held.d_anchor.swap(after.d_anchor);
-    held.d_load.swap(after.d_load);
-    held.d_speed.swap(after.d_speed);
-  }
-
-  // Whether any sample touches or rubs, at the last gradient.
-  bool acts() const {
-    for (int s = 0; s < samples_; ++s)
-      if (acts(s)) return true;
-    return false;
-  }
-
-  // Loaded samples and the smallest gap [m], at the last gradient.
-  std::pair<int64_t, double> report() const {
-    int64_t loaded = 0;
-    double smallest = nowhere;
-    for (int s = 0; s < samples_; ++s) {
-      loaded += step_.load[s] > 0.0;
-      smallest = std::min(smallest, step_.now.gap[s]);
-    }
-    return {loaded, smallest};
-  }
-
  private:
+  friend class Frictional<Surface>;
   template <class> friend struct Pull;
   template <class> friend struct PullPoints;
-
-  // Numbers of one sample with their derivatives in some columns; dx: of the positions at the end, null where held.
-  struct InColumns {
-    using S = Lanes;
-    using A = double;
-    const Surface &of;
-    int s, first;
-    const double *dx_start, *dx;
-    Lanes start(std::size_t k) const { return seeded(of.x_start_[k], dx_start + k * of.r_.columns + first); }
-    Lanes end(std::size_t k, double at) const { return dx ? seeded(at, dx + k * of.r_.columns + first) : Lanes(at); }
-    Lanes law(int k) const { return seeded(of.law_[k], of.d_law_ + k * of.r_.columns + first); }
-    Lanes anchor(int i) const { return some(of.held.anchor, of.held.d_anchor, 3 * s + i); }
-    double measured(double at) const { return at; }
-    Lanes load() const { return some(of.held.load, of.held.d_load, s); }
-    Lanes speed() const { return some(of.held.speed, of.held.d_speed, s); }
-    Lanes some(const std::vector<double> &v, const std::vector<double> &d, int k) const {
-      return seeded(v[k], &d[k * of.r_.columns + first]);
-    }
-  };
+  static constexpr int reach = REACH;
 
   // One sample with what it meets, of numbers with derivatives: forces on its nodes, and its load.
   template <class Given> struct One {
@@ -374,6 +235,7 @@ class Surface {
     Vec<S, 3> slide(double dt, S &speed) {
       return kept_slip(step.slip(places(), starts(), remembered(), 0), step.limit[0], S(law[STIFFNESS] * area), dt, speed);
     }
+    int node(std::size_t n) const { return nodes[n]; }
 
    private:
     View<S, 2> places() { return {x.data(), nodes.size(), 3}; }
@@ -400,54 +262,62 @@ class Surface {
     }
   };
 
+  static Primitives samples(const Record &r, int which) {
+    const int64_t first = r.surface_sample_start[which], corners = r.surface_corners;
+    return {r.surface_node + first * corners, r.surface_weight + first * corners,
+            int(r.surface_sample_start[which + 1] - first), int(corners)};
+  }
+  static Primitives triangles(const Record &r, int which) {
+    const int64_t first = r.surface_triangle_start[which];
+    return {r.surface_triangle + 3 * first, nullptr, int(r.surface_triangle_start[which + 1] - first), 3};
+  }
   const int32_t *own() const { return r_.surface_node + first_sample_ * corners_; }
   const double *weights() const { return r_.surface_weight + first_sample_ * corners_; }
   const int32_t *triangle(int t) const { return r_.surface_triangle + 3 * (first_triangle_ + t); }
+  int count() const { return samples_; }
+  const Held &before() const { return held; }
   double spring(int s) const { return law_[STIFFNESS] * step_.areas[s]; }
-  bool acts(int s) const { return step_.limit[s] > 0.0 || step_.now.gap[s] < law_[REACH]; }
+  bool any() const { return !near_.empty(); }
 
-  View<const double, 2> rows(const double *x) const { return {x, r_.nodes, 3}; }
   View<const int, 1> first() const { return {first_.data(), first_.size()}; }
   View<const int, 1> near() const { return {near_.data(), near_.size()}; }
   View<const double, 2> normals() const { return {normals_.data(), r_.nodes, 3}; }
   View<const double, 1> side() const { return {side_.data(), side_.size()}; }
-  View<const double, 1> law() const { return {law_.data(), 8}; }
   View<const double, 1> limits() const { return {step_.limit.data(), samples_}; }
-  View<const double, 2> anchor() const { return {held.anchor.data(), samples_, 3}; }
 
   double distance(const double *x, int s, int t) const {
     const Vec3 p = laws::surface_geometry::sample_at(rows(x), step_.own, step_.used, step_.weights, s);
     return laws::surface_geometry::closest_on(rows(x), p, step_.triangles, t).a2.norm();
   }
 
-  // Bring the gaps up to date with the positions; false when there is nothing to touch.
-  bool look(const double *x) {
-    if (near_.empty()) return false;
-    if (seen_.empty() || !std::equal(seen_.begin(), seen_.end(), x)) {
-      step_.measure(step_.now, rows(x), first(), near(), normals(), side(), law());
-      seen_.assign(x, x + 3 * r_.nodes);
-      for (int s = 0; added_.presses() && s < samples_; ++s) {
-        const double gap = step_.now.gap[s];
-        const auto at = gap < law_[REACH] ? added_.normal(gap, 1.0) : AddedLaws::Normal{};
-        step_.added[3 * s] = at.energy;
-        step_.added[3 * s + 1] = at.pressure;
-        step_.added[3 * s + 2] = at.slope;
-      }
+  // Triangles near each sample.
+  void list() {
+    near_.clear();
+    first_.assign(samples_ + 1, 0);
+    for (int64_t key : candidates_.inner()) {
+      near_.push_back(candidates_.second(key));
+      ++first_[candidates_.first(key) + 1];
     }
-    return true;
+    for (int s = 0; s < samples_; ++s) first_[s + 1] += first_[s];
+    side_.assign(near_.size(), 1.0);
   }
 
-  const Record &r_;
+  void measure(const double *x) {
+    step_.measure(step_.now, rows(x), first(), near(), normals(), side(), law());
+    for (int s = 0; added_.presses() && s < samples_; ++s) {
+      const double gap = step_.now.gap[s];
+      const auto at = gap < law_[REACH] ? added_.normal(gap, 1.0) : AddedLaws::Normal{};
+      step_.added[3 * s] = at.energy;
+      step_.added[3 * s + 1] = at.pressure;
+      step_.added[3 * s + 2] = at.slope;
+    }
+  }
+
   int64_t first_sample_, first_triangle_;
   int samples_, triangles_, corners_;
-  double margin_;
-  std::vector<double> law_;
-  const double *d_law_, *x_start_ = nullptr;
-  AddedLaws added_;
   SampleStep<double> step_;
-  Candidates candidates_;
   std::vector<int> first_, near_;
-  std::vector<double> side_, normals_, seen_, slopes_;
+  std::vector<double> side_, normals_, slopes_;
 };
 
 }  // namespace thinshell
