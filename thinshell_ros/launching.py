@@ -17,6 +17,7 @@ NAMES = {
     "replay_node": "trajectory_deploy",
     "sysid_node": "tactile_sysid",
     "marker_node": "marker_tracker",
+    "tf_node": "frames",
 }
 """Name of each node, which its parameter file is for."""
 

@@ -13,13 +13,17 @@ import pytest
 import yaml
 from launch_stand_ins import parts, stand_in
 
+from sim_core.rigs import load_rig
 from sysid.bench.scenes import SCENES
+from thinshell_ros.streams import channels_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 PARAMETER_FILES = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
 LIVE_FILES = sorted((ROOT / "config" / "nodes" / "live").glob("*.yaml"))
 ENTRY_POINTS = dict(re.findall(r'"(\w+) = ([\w.]+):main"', (ROOT / "setup.py").read_text()))
+OTHERS = {"robot_state_publisher", "rviz2"}
+"""Packages of a ROS distribution of which launch files start nodes."""
 NODES = {name: module for name, module in ENTRY_POINTS.items() if name.endswith("_node")}
 
 
@@ -58,7 +62,7 @@ def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(
     described = runpy.run_path(str(path))["generate_launch_description"]()
     monkeypatch.delitem(sys.modules, "thinshell_ros.launching")
     defaults = {a.values[0]: a.named["default_value"] for a in parts(described, kinds["DeclareLaunchArgument"])}
-    nodes = parts(described, kinds["Node"])
+    nodes = [node for node in parts(described, kinds["Node"]) if node.named["package"] not in OTHERS]
     assert nodes
     for node in nodes:
         given, executable = node.named, node.named["executable"]
@@ -79,6 +83,15 @@ def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(
 def test_launch_files_load(path: Path) -> None:
     pytest.importorskip("launch_ros", reason="launch_ros is not installed (it comes with a ROS distribution)")
     assert runpy.run_path(str(path))["generate_launch_description"]().entities
+
+
+def test_rviz_shows_topics_that_nodes_publish() -> None:
+    shown = yaml.safe_load((ROOT / "config" / "rviz" / "rig.rviz").read_text())["Visualization Manager"]
+    topics = {display.get("Topic", {}).get("Value") for display in shown["Displays"]} - {None}
+    rig = {channel.topic for channel in channels_of(load_rig("card_press"), 100.0).values()}
+    assert topics <= rig | {"target_pose", f"{default_name('replay_node')}/path"}
+    assert topics >= {"target_pose"}
+    assert all(display["Class"].startswith("rviz_default_plugins/") for display in shown["Displays"])
 
 
 @pytest.mark.parametrize("node", NODES)

@@ -21,7 +21,7 @@ MODULES = {
     "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "RegisterEventHandler", "Shutdown"],
     "launch.conditions": ["IfCondition"],
     "launch.event_handlers": ["OnProcessExit"],
-    "launch.substitutions": ["LaunchConfiguration"],
+    "launch.substitutions": ["Command", "LaunchConfiguration"],
     "launch_ros": [],
     "launch_ros.actions": ["Node"],
     "launch_ros.parameter_descriptions": ["ParameterValue"],
