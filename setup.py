@@ -85,6 +85,7 @@ setup(
         "console_scripts": [
             "thinshell = sysid.cli.app:main",
             "sim_node = thinshell_ros.sim_node:main",
+            "tf_node = thinshell_ros.tf_node:main",
             "marker_node = thinshell_ros.marker_node:main",
             "record_node = thinshell_ros.record_node:main",
             "sysid_node = thinshell_ros.sysid_node:main",

@@ -6,43 +6,24 @@ ros2 service call /tactile_sysid/start std_srvs/srv/Trigger
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
-
 from launch import LaunchDescription
+from thinshell_ros.launching import arguments, given, node
 
-NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
+SHARE = Path(__file__).resolve().parent.parent
 
 
 def generate_launch_description() -> LaunchDescription:
     """The node that fits; it waits to be asked."""
+    told = {"rig": given("rig"), "bag_uri": given("bag"), "output_dir": given("output_dir")}
     return LaunchDescription(
         [
-            DeclareLaunchArgument("rig", default_value="strip_pull", description="rig: name or YAML file"),
-            DeclareLaunchArgument("namespace", default_value="", description="of topics and services"),
-            DeclareLaunchArgument("bag", default_value="", description="recording to fit"),
-            DeclareLaunchArgument("parameters", default_value="[strip.E]", description="what to estimate, a list"),
-            DeclareLaunchArgument("output_dir", default_value="fits", description="folder of the results"),
-            DeclareLaunchArgument(
-                "sysid_params", default_value=str(NODES / "sysid_node.yaml"), description="parameter file of sysid_node"
+            *arguments(
+                rig=("strip_pull", "rig: name or YAML file"),
+                namespace=("", "of topics and services"),
+                bag=("", "recording to fit"),
+                parameters=("[strip.E]", "what to estimate, a list"),
+                output_dir=("fits", "folder of the results"),
             ),
-            Node(
-                package="thinshell_ros",
-                executable="sysid_node",
-                name="tactile_sysid",
-                namespace=LaunchConfiguration("namespace"),
-                output="screen",
-                parameters=[
-                    LaunchConfiguration("sysid_params"),
-                    {
-                        "rig": ParameterValue(LaunchConfiguration("rig"), value_type=str),
-                        "bag_uri": ParameterValue(LaunchConfiguration("bag"), value_type=str),
-                        "fit.parameters": LaunchConfiguration("parameters"),
-                        "output_dir": ParameterValue(LaunchConfiguration("output_dir"), value_type=str),
-                    },
-                ],
-            ),
+            *node(SHARE, "sysid_node", {**told, "fit.parameters": given("parameters", None)}),
         ]
     )

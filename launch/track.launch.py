@@ -5,47 +5,31 @@ ros2 launch thinshell_ros track.launch.py namespace:=tactile/left
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+from thinshell_ros.launching import arguments, given, node
 
-NODES = Path(__file__).resolve().parent.parent / "config" / "nodes"
+SHARE = Path(__file__).resolve().parent.parent
 
 
 def generate_launch_description() -> LaunchDescription:
     """The tracker."""
+    topics = {"image": "image", "image/compressed": "compressed", "marker_tracks": "tracks"}
     return LaunchDescription(
         [
-            DeclareLaunchArgument("namespace", default_value="", description="of the camera"),
-            DeclareLaunchArgument("image", default_value="image", description="topic of sensor_msgs/Image"),
-            DeclareLaunchArgument(
-                "compressed", default_value="image/compressed", description="topic of sensor_msgs/CompressedImage"
+            *arguments(
+                namespace=("", "of the camera"),
+                image=("image", "topic of sensor_msgs/Image"),
+                compressed=("image/compressed", "topic of sensor_msgs/CompressedImage"),
+                tracks=("marker_tracks", "topic of the tracks"),
+                layout=("", "tracking.json of 'thinshell track'"),
             ),
-            DeclareLaunchArgument("tracks", default_value="marker_tracks", description="topic of the tracks"),
-            DeclareLaunchArgument("layout", default_value="", description="tracking.json of 'thinshell track'"),
-            DeclareLaunchArgument(
-                "marker_params",
-                default_value=str(NODES / "marker_node.yaml"),
-                description="parameter file of marker_node",
-            ),
-            Node(
-                package="thinshell_ros",
-                executable="marker_node",
-                name="marker_tracker",
-                namespace=LaunchConfiguration("namespace"),
-                output="screen",
-                remappings=[
-                    ("image", LaunchConfiguration("image")),
-                    ("image/compressed", LaunchConfiguration("compressed")),
-                    ("marker_tracks", LaunchConfiguration("tracks")),
-                ],
-                parameters=[
-                    LaunchConfiguration("marker_params"),
-                    {"layout": ParameterValue(LaunchConfiguration("layout"), value_type=str)},
-                ],
+            *node(
+                SHARE,
+                "marker_node",
+                {"layout": given("layout")},
+                remappings=[(topic, LaunchConfiguration(name)) for topic, name in topics.items()],
             ),
         ]
     )

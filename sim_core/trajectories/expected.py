@@ -71,6 +71,11 @@ class Band:
     noise: np.ndarray
     slack: np.ndarray
 
+    def of_channels(self, which: np.ndarray) -> Band:
+        """The same of some components only; ``which`` ``(c,)``: a mask."""
+        kept = (self.mean[:, which], self.spread[:, which], self.noise[which], self.slack[which])
+        return Band(self.times, *kept)
+
     @property
     def width(self) -> np.ndarray:
         """Largest deviation that is expected ``(n, c)``, without the slack of the model."""

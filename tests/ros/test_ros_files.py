@@ -3,6 +3,7 @@
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -10,14 +11,19 @@ from typing import Any
 
 import pytest
 import yaml
+from launch_stand_ins import parts, stand_in
 
+from sim_core.rigs import load_rig
 from sysid.bench.scenes import SCENES
+from thinshell_ros.streams import channels_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 PARAMETER_FILES = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
 LIVE_FILES = sorted((ROOT / "config" / "nodes" / "live").glob("*.yaml"))
 ENTRY_POINTS = dict(re.findall(r'"(\w+) = ([\w.]+):main"', (ROOT / "setup.py").read_text()))
+OTHERS = {"robot_state_publisher", "rviz2"}
+"""Packages of a ROS distribution of which launch files start nodes."""
 NODES = {name: module for name, module in ENTRY_POINTS.items() if name.endswith("_node")}
 
 
@@ -49,38 +55,43 @@ def test_there_is_something_to_check() -> None:
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
-def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    nodes = calls(tree, "Node")
+def test_launch_files_start_nodes_that_exist_with_parameters_that_exist(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = stand_in(monkeypatch)
+    described = runpy.run_path(str(path))["generate_launch_description"]()
+    monkeypatch.delitem(sys.modules, "thinshell_ros.launching")
+    defaults = {a.values[0]: a.named["default_value"] for a in parts(described, kinds["DeclareLaunchArgument"])}
+    nodes = [node for node in parts(described, kinds["Node"]) if node.named["package"] not in OTHERS]
     assert nodes
-    defaults = {
-        ast.literal_eval(call.args[0]): {n.value for n in ast.walk(call) if isinstance(n, ast.Constant)}
-        for call in calls(tree, "DeclareLaunchArgument")
-    }
-    for call in nodes:
-        values: dict[str, Any] = {k.arg: k.value for k in call.keywords if k.arg}
-        assert ast.literal_eval(values["package"]) == "thinshell_ros"
-        executable = ast.literal_eval(values["executable"])
+    for node in nodes:
+        given, executable = node.named, node.named["executable"]
+        assert given["package"] == "thinshell_ros"
         assert executable in NODES
-        assert ast.literal_eval(values["name"]) == default_name(executable)
-        for item in values["parameters"].elts:
-            if isinstance(item, ast.Dict):
-                assert {ast.literal_eval(k) for k in item.keys if k} <= declared(executable)
-            else:
-                (argument,) = (n.value for n in ast.walk(item) if isinstance(n, ast.Constant))
-                assert f"{executable}.yaml" in defaults[argument], "a site may give a file of its own in its place"
-                assert (ROOT / "config" / "nodes" / f"{executable}.yaml").is_file()
-    arguments = {ast.literal_eval(call.args[0]) for call in calls(tree, "DeclareLaunchArgument")}
-    used = {ast.literal_eval(call.args[0]) for call in calls(tree, "LaunchConfiguration")}
-    assert arguments == used
+        assert given["name"] == default_name(executable)
+        file, parameters = given["parameters"]
+        assert Path(defaults[file.values[0]]) == ROOT / "config" / "nodes" / f"{executable}.yaml", (
+            "a site may replace it"
+        )
+        assert Path(defaults[file.values[0]]).is_file()
+        assert set(parameters) <= declared(executable)
+    used = {c.values[0] for c in parts(described, kinds["LaunchConfiguration"])}
+    assert set(defaults) == used
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
 def test_launch_files_load(path: Path) -> None:
     pytest.importorskip("launch_ros", reason="launch_ros is not installed (it comes with a ROS distribution)")
-    import runpy
-
     assert runpy.run_path(str(path))["generate_launch_description"]().entities
+
+
+def test_rviz_shows_topics_that_nodes_publish() -> None:
+    shown = yaml.safe_load((ROOT / "config" / "rviz" / "rig.rviz").read_text())["Visualization Manager"]
+    topics = {display.get("Topic", {}).get("Value") for display in shown["Displays"]} - {None}
+    rig = {channel.topic for channel in channels_of(load_rig("card_press"), 100.0).values()}
+    assert topics <= rig | {"target_pose", f"{default_name('replay_node')}/path"}
+    assert topics >= {"target_pose"}
+    assert all(display["Class"].startswith("rviz_default_plugins/") for display in shown["Displays"])
 
 
 @pytest.mark.parametrize("node", NODES)

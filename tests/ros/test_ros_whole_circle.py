@@ -22,16 +22,7 @@ CONCEALED = {
 
 
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize(
-    "name",
-    [
-        "end_effector_compliance",
-        "bending_plasticity",
-        pytest.param(
-            "command_scale", marks=pytest.mark.xfail(reason="The watch does not see it in the motion that is found.")
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", list(CONCEALED))
 def test_what_a_robot_conceals_is_found_out_in_one_round(ros: None, tmp_path: Path, name: str) -> None:
     """In the last round the error of the task is what the rig itself leaves: the end of the strip cannot be put in all
     three directions. The watch alarms in the first round and is silent in the last."""

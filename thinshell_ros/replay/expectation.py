@@ -3,16 +3,6 @@
 Readings are compared as changes since before the replay, so that an offset of the sensor is none of its faults. A robot
 may be behind its commands and a reading older than its stamp, so a reading is held against all that is predicted within
 the time from which it can be.
-
-A prediction is made in steps of time, and its stamps are known to half a step. What follows its cause with a relaxation
-time tau, x' = f - x / tau, has the error e of implicit Euler with steps h to first order in h (modified equation;
-Hairer, Lubich and Wanner, Geometric Numerical Integration, sec. IX.1):
-
-    e' = -e / tau + h/2 x'',  e(t) = h/2 (x'(t) - <x'>),
-
-<x'>: the mean of x' until t with weights exp(-(t - s) / tau) / tau, which sum up to 1 at most. So |e| is at most h/2
-times the range of the rates until t, 0 among them, whatever tau is: what moves on at v is v h/2 off. Between samples
-g apart a kink of the rate by r is missed by g/4 r at most.
 """
 
 from __future__ import annotations
@@ -35,30 +25,32 @@ BASELINE = 32
 """Readings before a replay, at most, of which the mean is what changes are counted from."""
 
 
-class Expectation:
-    """The bounds of one sensor's readings ``(c,)`` at each time of a trajectory [s].
+class Table:
+    """Even times [s] from 0 to the end of a trajectory, and values at them."""
 
-    ``within_s``: a reading may belong to any time so far back; ``slack``: whether all that a model may err is allowed
-    for, or only what its steps of time make.
-    """
-
-    def __init__(self, band: Band, within_s: float, slack: bool, step_s: float | None = None) -> None:
-        """``step_s``: of the simulation that predicted [s]; None where that is not known: the samples are its steps."""
+    def __init__(self, band: Band) -> None:
         end = float(band.times[-1])
         count = min(max(math.ceil(end / TABLE_S), 1), max(MAX_VALUES // band.mean.shape[1], len(band.times)))
-        self._step = end / count
-        times = np.linspace(0.0, end, count + 1)
-        self.mean = _interpolated(times, band.times, band.mean - band.mean[0])
-        spread = _interpolated(times, band.times, band.spread) + band.spread[0]
-        model = np.broadcast_to(band.slack, band.mean.shape) if slack else in_steps(band, step_s)
-        spread = spread + _interpolated(times, band.times, model)
-        size = math.ceil(within_s / self._step) + 2
-        self.upper = _lagged(maximum_filter1d, self.mean + spread, size)
-        self.lower = _lagged(minimum_filter1d, self.mean - spread, size)
-        self.noise = band.noise
-        self.slack = band.slack
+        self.step_s = end / count
+        self._given, self._times = band.times, np.linspace(0.0, end, count + 1)
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Values ``(n, c)`` at the times of the band, at those of the table."""
+        return np.column_stack([np.interp(self._times, self._given, column) for column in values.T])
+
+    def row(self, time_s: float) -> int:
+        """Number of the row of a time, from which on its values hold until the next one."""
+        return int(min(max(math.ceil(time_s / self.step_s - 1e-6), 0), len(self._times) - 1))
+
+
+class Changes:
+    """Readings ``(c,)`` as changes since before a replay."""
+
+    def __init__(self) -> None:
         self._before: list[np.ndarray] = []
         self.baseline: np.ndarray | None = None
+        self.count = 1
+        """Number of readings that changes are counted from."""
 
     def take_before(self, values: np.ndarray) -> None:
         """A reading before the replay, or while nothing has moved."""
@@ -66,11 +58,11 @@ class Expectation:
 
     def begin(self) -> None:
         """Changes are counted from what was read before; without any, from the first reading."""
-        self.baseline = self._mean(self._before)
-        self._count = max(len(self._before), 1)
+        self.baseline = self._mean_of(self._before)
+        self.count = max(len(self._before), 1)
 
     @staticmethod
-    def _mean(readings: list[np.ndarray]) -> np.ndarray | None:
+    def _mean_of(readings: list[np.ndarray]) -> np.ndarray | None:
         if not readings:
             return None
         stacked = np.stack(readings)
@@ -82,41 +74,43 @@ class Expectation:
     def change(self, values: np.ndarray) -> np.ndarray:
         """A reading as a change since before the replay ``(c,)``; NaN where there was no reading before."""
         if self.baseline is None:
-            self.baseline, self._count = values, 1
+            self.baseline, self.count = values, 1
         return np.asarray(values - self.baseline)
+
+
+class Expectation(Changes):
+    """The bounds of one sensor's readings ``(c,)`` at each time of a trajectory [s], with all that a model may err.
+
+    ``within_s``: a reading may belong to any time so far back.
+    """
+
+    def __init__(self, band: Band, within_s: float) -> None:
+        super().__init__()
+        self._table = Table(band)
+        self.mean = self._table.of(band.mean - band.mean[0])
+        spread = self._table.of(band.spread + band.slack) + band.spread[0]
+        size = math.ceil(within_s / self._table.step_s) + 2
+        self.upper = lagged(maximum_filter1d, self.mean + spread, size)
+        self.lower = lagged(minimum_filter1d, self.mean - spread, size)
+        self.noise = band.noise
+        self.slack = band.slack
 
     def excess(self, change: np.ndarray, time_s: float) -> np.ndarray:
         """By how much a change is beyond what is expected at a time ``(c,)``: 0 or less where it is not."""
-        row = self.row(time_s)
-        noise = self.noise * math.sqrt(1.0 + 1.0 / self._count)
+        row = self._table.row(time_s)
+        noise = self.noise * math.sqrt(1.0 + 1.0 / self.count)
         return np.asarray(np.maximum(change - self.upper[row], self.lower[row] - change) - noise)
 
     def row(self, time_s: float) -> int:
-        """Number of the row of a time, from which on bounds hold until the next one."""
-        return int(min(max(math.ceil(time_s / self._step - 1e-6), 0), len(self.upper) - 1))
+        """Number of the row of bounds at a time."""
+        return self._table.row(time_s)
 
     def expected(self, time_s: float) -> np.ndarray:
         """Predicted change at a time ``(c,)``."""
         return np.asarray(self.mean[self.row(time_s)])
 
 
-def in_steps(band: Band, step_s: float | None) -> np.ndarray:
-    """Error of a prediction by the steps [s] in which it was made and by the intervals of its samples ``(n, c)``."""
-    apart = np.diff(band.times)
-    rates = np.diff(band.mean, axis=0) / apart[:, None]
-    rates = np.concatenate([np.zeros_like(rates[:1]), rates])
-    highest, lowest = (kind.accumulate(rates, axis=0) for kind in (np.maximum, np.minimum))
-    # A sample bounds the interval that begins with it, too.
-    span = np.concatenate([(highest - lowest)[1:], (highest - lowest)[-1:]])
-    gap = float(apart.max())
-    return np.asarray((0.5 * (gap if step_s is None else step_s) + 0.25 * gap) * span)
-
-
-def _interpolated(times: np.ndarray, given: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.interp(times, given, column) for column in values.T])
-
-
-def _lagged(kind: Callable[..., np.ndarray], values: np.ndarray, size: int) -> np.ndarray:
+def lagged(kind: Callable[..., np.ndarray], values: np.ndarray, size: int) -> np.ndarray:
     """Largest or least value within ``size`` rows, of which each row is the last."""
     padded = np.concatenate([np.repeat(values[:1], size, axis=0), values])
     filtered = kind(padded, size=size, axis=0, mode="nearest")

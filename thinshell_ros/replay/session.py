@@ -107,13 +107,13 @@ class Session:
                 guards[name] = WrenchGuard(name, limits)
                 continue
             band = wrench_band(wrench, trajectory.times_s, factors, trajectory.limits)
-            expected = Expectation(band, lag + speed_scale * wrench.delay_s, slack=True)
+            expected = Expectation(band, lag + speed_scale * wrench.delay_s)
             own = limits.stricter(Limits(max_force_n=wrench.max_force_n, max_torque_nm=wrench.max_torque_nm))
             guards[name] = WrenchGuard(name, own, wrench.frame_id, expected, wrench.rate_hz)
         seen = {n: predicted.markers[n] for n in markers or []}
         marked = {n: MarkerGuard(n, m.ids, m.frame_id, m.rate_hz) for n, m in seen.items()}
         self.guard = Guard(settings, trajectory, follow, guards, marked)
-        self.watch = PredictionWatch(trajectory, lag, speed_scale, step_s=step_s)
+        self.watch = PredictionWatch(trajectory, lag, speed_scale, step_s=step_s, held_s=settings.period_s)
         self._watch_aborts = watch_aborts
         self._scale = speed_scale
         self.state: State = "idle"

@@ -1,10 +1,10 @@
 """Readings against their prediction while a trajectory is replayed: an alarm of known rate of false ones. No ROS.
 
-What is read is within T s(t) + Z sigma of the prediction with the probability 1 - a in all of a replay, where the model
-is true (:mod:`sim_core.trajectories.expected`), s from the draws of what a fit leaves open, sigma the noise that the
-rig states; besides, the error of its steps of time (:mod:`thinshell_ros.replay.expectation`). What the rig gives no
-noise of is not watched. Readings that come faster than the rig says are left out, so that their number, which Z is for,
-holds.
+Where the model is true, a replay alarms with the probability a at most: half of it is for the open parameters of the
+rig (:mod:`sim_core.trajectories.expected`), half for the noise that the rig states, of all readings at once. Lags and
+what the steps of time of a simulation make are found from the readings themselves
+(:mod:`thinshell_ros.replay.innovations`). What the rig gives no noise of is not watched. Readings that come faster than
+the rig says are left out, so that their number holds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim_core.trajectories.expected import (
     values_in_a_replay,
     wrench_band,
 )
-from thinshell_ros.replay.expectation import Expectation
+from thinshell_ros.replay.innovations import Innovations
 
 SPACING = 0.8
 """Readings that come after less than this share of the interval that the rig says are left out."""
@@ -44,7 +44,9 @@ class Alarm:
 
 @dataclass
 class _Channel:
-    expectation: Expectation
+    """``watched`` ``(c,)``: which channels of a sensor have noise, so that their readings are compared."""
+
+    readings: Innovations
     watched: np.ndarray
     least_s: float
     last_s: float = -math.inf
@@ -54,7 +56,8 @@ class PredictionWatch:
     """Watches all sensors of which a trajectory predicts readings and the rig states the noise.
 
     ``lag_s``: time of the trajectory by which the robot may be behind; ``scale``: time of the trajectory over that of a
-    replay; ``step_s``: of the simulation that predicted, None where that is not known.
+    replay; ``step_s``: of the simulation that predicted, None where that is not known; ``held_s``: for how long a
+    command is held, in time of a replay.
     """
 
     def __init__(
@@ -64,11 +67,14 @@ class PredictionWatch:
         scale: float = 1.0,
         false_alarm: float = FALSE_ALARM,
         step_s: float | None = None,
+        held_s: float = 0.0,
     ) -> None:
-        self._step_s = step_s
+        self._steps = scale * held_s, step_s
         predicted, times = trajectory.predicted, trajectory.times_s
         count = values_in_a_replay(predicted, trajectory.duration_s / scale + 1.0) / SPACING
-        factors = spread_factor(predicted, false_alarm), noise_factor(count, false_alarm)
+        # Half of what noise may alarm is for single readings, half for the distance of all of them up to each.
+        self._factors = noise_factor(2.0 * count, false_alarm), math.log(4.0 * count / false_alarm)
+        factors = spread_factor(predicted, false_alarm), self._factors[0]
         self.alarm: Alarm | None = None
         self._channels: dict[str, _Channel] = {}
         self._columns: dict[str, dict[int, int]] = {}
@@ -88,8 +94,8 @@ class PredictionWatch:
         if not watched.any():
             self.unwatched.append(name)
             return
-        expectation = Expectation(band, within_s, slack=False, step_s=self._step_s)
-        self._channels[name] = _Channel(expectation, watched, SPACING / rate_hz)
+        readings = Innovations(band.of_channels(watched), self._factors, within_s, *self._steps)
+        self._channels[name] = _Channel(readings, watched, SPACING / rate_hz)
 
     def notes(self) -> list[str]:
         """What is not watched, in words."""
@@ -104,7 +110,7 @@ class PredictionWatch:
         """A replay begins."""
         self.alarm = None
         for channel in self._channels.values():
-            channel.expectation.begin()
+            channel.readings.begin()
             channel.last_s = -math.inf
 
     def take_wrench(self, name: str, stamp_s: float, values: np.ndarray, time_s: float | None) -> None:
@@ -126,23 +132,25 @@ class PredictionWatch:
         channel = self._channels.get(name)
         if channel is None:
             return
+        values = values[channel.watched]
         if time_s is None:
-            channel.expectation.take_before(values)
+            channel.readings.take_before(values)
             return
         if stamp_s - channel.last_s < channel.least_s:
             return
         channel.last_s = stamp_s
-        change = channel.expectation.change(values)
-        excess = np.where(channel.watched, channel.expectation.excess(change, time_s), -np.inf)
+        change = channel.readings.change(values)
+        excess = channel.readings.excess(change, time_s)
         excess = np.where(np.isnan(excess), -np.inf, excess)
         worst = int(np.argmax(excess))
         if excess[worst] > 0.0:
-            words = self._words(name, channel, change, worst, time_s)
+            words = self._words(name, channel, change[worst], worst, time_s)
             first = self.alarm or Alarm(name, time_s, words, stamp_s, stamp_s)
             self.alarm = replace(first, until_s=stamp_s)
 
-    def _words(self, name: str, channel: _Channel, change: np.ndarray, worst: int, time_s: float) -> str:
-        expected = float(channel.expectation.expected(time_s)[worst])
+    def _words(self, name: str, channel: _Channel, change: float, worst: int, time_s: float) -> str:
+        expected = float(channel.readings.expected()[worst])
+        worst = int(np.flatnonzero(channel.watched)[worst])
         if name not in self._columns:
             component, unit = (
                 f"{'xyz'[worst % 3]} of the {'force' if worst < 3 else 'torque'}",
@@ -152,7 +160,7 @@ class PredictionWatch:
             number = next(n for n, column in self._columns[name].items() if column == worst // 3)
             component, unit = f"{'xyz'[worst % 3]} of the marker {number}", "m"
         return (
-            f"At {time_s:.2f} s of the trajectory {component} of {name} has changed by {change[worst]:.4g} {unit}, and "
+            f"At {time_s:.2f} s of the trajectory {component} of {name} has changed by {change:.4g} {unit}, and "
             f"{expected:.4g} {unit} is predicted: readings part from the prediction by more than its uncertainty and "
             f"the noise explain in {100.0 * (1.0 - self.false_alarm):g} % of replays."
         )
