@@ -110,8 +110,10 @@ def _unsealed(truth: dict[str, Any], diagnosis: Diagnosis) -> str:
         numbers |= {f"effects.{name}.{key}": value for key, value in values.items()}
     for name, value in numbers.items():
         p = found.get(name)
-        told = f"{p.value:>12.4g}  {'yes' if p.ci95[0] <= value <= p.ci95[1] else 'no'}" if p else f"{'not found':>12}"
-        lines.append(f"{name:<34}{value:>12.4g}{told}")
+        in_words = (
+            f"{p.value:>12.4g}  {'yes' if p.ci95[0] <= value <= p.ci95[1] else 'no'}" if p else f"{'not found':>12}"
+        )
+        lines.append(f"{name:<34}{value:>12.4g}{in_words}")
     return "\n".join(lines)
 
 

@@ -179,8 +179,8 @@ class FitProcess:
         self._process.kill()
         self._process.join()
         self._link.close()
-        told, self._over = self._over, True
-        if told:
+        was_over, self._over = self._over, True
+        if was_over:
             return None  # it has cleared up itself, or said where it left what is finished
         if self._request.out.exists():
             return _succeeded(self._request)

@@ -51,7 +51,7 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
 class FinishingNode(Node):
     """A node whose work is not done when it is told to end."""
 
-    def told_to_end(self) -> None:
+    def stop_requested(self) -> None:
         """What must be done at once; nothing by default."""
 
     def finish(self) -> int:
@@ -62,11 +62,11 @@ class FinishingNode(Node):
 def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None = None) -> int:
     """Like :func:`run`, but a signal does not cut the node off from what has already arrived.
 
-    Its ``told_to_end`` is called at once; it goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
+    Its ``stop_requested`` is called at once; it goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
     """
-    told: list[int] = []
+    signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda which, frame: told.append(which))
+        signal.signal(number, lambda which, frame: signals.append(which))
     rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     node: FinishingNode | None = None
     code = 0
@@ -74,10 +74,10 @@ def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not told and ok():
+        while not signals and ok():
             executor.spin_once(timeout_sec=0.1)
         if ok():
-            node.told_to_end()
+            node.stop_requested()
         end = time.monotonic() + DRAIN_S
         while time.monotonic() < end and ok():
             executor.spin_once(timeout_sec=0.02)

@@ -53,10 +53,10 @@ class Supervisor:
         doing = "has not answered" if self.ready else "has been building its scene"
         return f"The physics process {doing} for {self.silent_s:.0f} s."
 
-    def answers(self) -> Iterator[tuple[float, protocol.Answer]]:
+    def responses(self) -> Iterator[tuple[float, protocol.Answer]]:
         """What has arrived, each with its wall time of arrival [s]. Those who wait get their answers; where the process
         hangs or has ended, that."""
-        for arrival, answer in self._worker.answers():
+        for arrival, answer in self._worker.responses():
             if isinstance(answer, protocol.Ready):
                 self.ready = True
             elif isinstance(answer, protocol.Status):

@@ -77,7 +77,7 @@ class SysidNode(Node):
 
         self._state = FitState()
         self._request: Request | None = None
-        self._elapsed_s = self._told_s = 0.0
+        self._elapsed_s = self._reported_s = 0.0
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", **overridable(LATCHED))
         self._result = self.create_publisher(String, "~/result", **overridable(LATCHED))
@@ -172,11 +172,11 @@ class SysidNode(Node):
                 self.get_logger().warning(f"{self._state.job_id} succeeded: {self._state.doing}")
             else:
                 self.get_logger().info(f"{self._state.job_id} succeeded: {self._state.doing}")
-        if events or time.monotonic() - self._told_s > 1.0:
+        if events or time.monotonic() - self._reported_s > 1.0:
             self._tell()
 
     def _tell(self) -> None:
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         report = self._state.report(self._elapsed_s)
         self._status.publish(messages.status(self.get_fully_qualified_name(), self._rig.name, report))
 

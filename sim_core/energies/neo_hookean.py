@@ -123,7 +123,7 @@ class NeoHookean(ElementValues):
         for name in known:
             if name not in values:
                 raise ConfigError(f"{self.name} needs the parameter {name!r}.", "Add it to the material.")
-        e_pa, nu = values["E_pa"], poisson_ratios(self.name, values["nu"], self._beside)
+        e_pa, nu = values["E_pa"], poisson_ratios(self.name, values["nu"], self._nu_shift)
         if not 0.0 < e_pa < np.inf:
             raise ConfigError(f"{self.name}: E_pa = {e_pa} is not between 0.0 and inf.")
         self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)

@@ -27,7 +27,7 @@ class Displaced(Strict):
     """Something whose pose is told with a constant error. With the pose (p, R) that is told, a shift rho and a rotation
     vector phi, both in its own axes,
 
-        T_true = T_told * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
+        T_true = T_nominal * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
     """
 
     offset_x_m: Shift = Field(default=0.0, description="shift of the true pose along x")

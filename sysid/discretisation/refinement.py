@@ -49,10 +49,10 @@ class Unmeasured(ThinshellError):
     """The error of mesh and time step cannot be measured where a search has ended, with the problem beside the error
     measured before and what was found, as not converged."""
 
-    def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
+    def __init__(self, cause: ThinshellError, last_problem: Problem, fitted: Fitted) -> None:
         super().__init__(cause.problem, cause.remedy)
         end_unconverged(fitted, cause, "it stands where its discretisation error is not known")
-        self.beside, self.fitted = beside, fitted
+        self.last_problem, self.fitted = last_problem, fitted
 
 
 def discretisation(
@@ -155,7 +155,7 @@ def _error(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], order: i
     return {c: np.where(np.isfinite(d), d, 0.0) for c, d in found.items()}
 
 
-def fit_beside_discretisation(
+def fit_with_discretisation_error(
     engine: AnyEngine,
     runs: Sequence[Run],
     noise: dict[str, ChannelNoise],

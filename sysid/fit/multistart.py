@@ -173,7 +173,7 @@ class Searches:
                 continue
             self._found.append(other)
             self._begun.append(start)
-            mine, others = best.beside(other)
+            mine, others = best.common_chi2(other)
             if mine - others > FIT.same_chi2 * overdispersion(best):
                 best = other
         return best
@@ -218,7 +218,7 @@ class Searches:
             again = self._tried(problem, start, fitted)
             if again is None:
                 break
-            known, new = fitted.beside(again)
+            known, new = fitted.common_chi2(again)
             if new >= known:
                 break
             left, now = worst(problem, fitted), worst(problem, again)
@@ -239,7 +239,7 @@ class Searches:
         while self._restarts and self._may_go_on(fitted) and fitted.misfit >= UNCERTAINTY.good_misfit:
             near = fitted.scaled + FIT.restart_width * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
-            known, new = (1.0, np.inf) if again is None else fitted.beside(again)
+            known, new = (1.0, np.inf) if again is None else fitted.common_chi2(again)
             self._restarts = self._restarts - 1 if again is None or new < FIT.better_chi2_ratio * known else 0
             fitted = again if again is not None and new < known else fitted
         return fitted
@@ -261,11 +261,11 @@ def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> 
     """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
     best = found[0]
     for other in found[1:]:
-        mine, others = best.beside(other)
+        mine, others = best.common_chi2(other)
         best = other if others < mine else best
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
-    beyond = [np.subtract(*f.beside(best)) for f in found]
+    beyond = [np.subtract(*f.common_chi2(best)) for f in found]
     as_good = [f for f, more in zip(found, beyond, strict=True) if more <= FIT.same_chi2 * overdispersion(best)]
     apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > FIT.same_place_sd * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]

@@ -67,7 +67,7 @@ class FitOptions:
         if self.seed < 0:
             raise ConfigError(f"The seed is {self.seed}.", "Give a number that is not negative.")
 
-    def told(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """What was chosen, as JSON, but for the seed; None: no bound on that side."""
         chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "seed"}
         bounds = {name: [b if math.isfinite(b) else None for b in pair] for name, pair in self.bounds.items()}

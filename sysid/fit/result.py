@@ -195,12 +195,12 @@ class FitResult:
 
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
-        told = [n for n in self.nuisances if n.told]
-        known = {n.name for n in told}
-        vague = [n for n in self.nuisances if not n.told and not n.bias]
+        informed = [n for n in self.nuisances if n.informed]
+        known = {n.name for n in informed}
+        vague = [n for n in self.nuisances if not n.informed and not n.bias]
         rest = list(dict.fromkeys(n.name + (f" in {n.run}" if n.name in known else "") for n in vague))
-        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if told else []
-        for n in told:
+        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if informed else []
+        for n in informed:
             low, high = n.ci95
             run = f"  {n.run}" if n.run else ""
             lines.append(f"{n.name:<34}{n.value:>13.6g}  {f'{low:.6g} .. {high:.6g}':<30}{n.unit}{run}")

@@ -112,8 +112,8 @@ def _resolved(rig: Rig, name: str) -> str:
 
 
 def _as_json(rows: Sequence[Row], steps: Sequence[float], passed: bool) -> str:
-    told = [{key: _number(value) for key, value in asdict(row).items()} for row in rows]
-    return json.dumps({"passed": passed, "steps": list(steps), "rows": told}, indent=2, allow_nan=False)
+    listed = [{key: _number(value) for key, value in asdict(row).items()} for row in rows]
+    return json.dumps({"passed": passed, "steps": list(steps), "rows": listed}, indent=2, allow_nan=False)
 
 
 def _number(value: Any) -> Any:

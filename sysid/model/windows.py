@@ -27,7 +27,7 @@ from sysid.noise.stillness import moving
 from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
 from sysid.observations.selection import Part
-from sysid.recording.notes import told_once
+from sysid.recording.notes import merged_notes
 from sysid.settings.model import MODEL
 
 
@@ -38,8 +38,8 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
         if part.begin < at < min(part.end, run.end):
             raise stop
     counted = [n for n in (note.between(part.begin, part.end) for note in run.counted) if n.times]
-    doubts = told_once([n for n in counted if n.severity == "warning"])
-    notes = told_once(counted)
+    doubts = merged_notes([n for n in counted if n.severity == "warning"])
+    notes = merged_notes(counted)
     when = "" if part.whole else f" from {part.begin:g} to {part.end:g} s"
     measured = []
     for m in run.measured:

@@ -100,18 +100,18 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, NOISE.largest_lag_share * longest)]).astype(int))
     pairs = np.array([sum(int((_from(p.there, k) & _until(p.there, k)).sum()) for p in parts) for k in lags])
     products = np.array([sum(float(np.sum(_from(p.residual, k) * _until(p.residual, k))) for p in parts) for k in lags])
-    beside = _beside(parts, longest)
+    lagged = _lagged_information(parts, longest)
     distance = np.arange(longest)
     twice = np.where(distance > 0, 2.0, 1.0)
-    spreads = np.tensordot(twice * np.power.outer(rhos, distance), beside, axes=1)
-    taken = np.tensordot(beside, inverse, axes=2)
+    spreads = np.tensordot(twice * np.power.outer(rhos, distance), lagged, axes=1)
+    taken = np.tensordot(lagged, inverse, axes=2)
     apart = np.abs(np.subtract.outer(lags, distance)), np.add.outer(lags, distance)
     met = pairs / np.maximum([sum(_within_reach(p.there, k) for p in parts) for k in lags], 1.0)
     by_lag = np.column_stack(
         [
             pairs * np.power(rho, lags)
             - met * ((np.power(rho, apart[0]) + np.power(rho, apart[1])) @ (twice * taken))
-            + np.tensordot(inverse @ beside[lags] @ inverse, spread, axes=2)
+            + np.tensordot(inverse @ lagged[lags] @ inverse, spread, axes=2)
             - _tared(parts, rho, lags)
             for rho, spread in zip(rhos, spreads, strict=True)
         ]
@@ -127,7 +127,7 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     return np.asarray(np.tensordot(level * shares / size, spreads, axes=1) - spreads[0])
 
 
-def _beside(parts: Sequence[Part], longest: int) -> np.ndarray:
+def _lagged_information(parts: Sequence[Part], longest: int) -> np.ndarray:
     """J^T S_d J for all distances d of samples, summed over runs ``(longest, p, p)``: cross-correlations, by the fast
     Fourier transform of some columns at a time."""
     p = parts[0].jacobian.shape[2]

@@ -26,7 +26,7 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
     if not good.any():
         return None
     base = _line(at)
-    residual = _beside_line(values, good, base)
+    residual = _line_residual(values, good, base)
     near = (np.diff(at) < NOISE.gap_interval)[:, None]
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
@@ -48,22 +48,22 @@ def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         good = np.isfinite(values)
         if not good.any():
             return values
-        mistakes = _mistakes(_beside_line(values, good, _line(at)), good)
+        mistakes = _mistakes(_line_residual(values, good, _line(at)), good)
         if not mistakes.any():
             return values
         values = np.where(mistakes, np.nan, values)
 
 
-def beside_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def line_residual(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """What is left of columns ``(n, k)`` at times ``(n,)`` beside a line each, 0 where there is no reading."""
-    return _beside_line(values, np.isfinite(values), _line(at))
+    return _line_residual(values, np.isfinite(values), _line(at))
 
 
 def _line(at: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
 
 
-def _beside_line(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
+def _line_residual(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
     """What is left of each column beside a line, 0 where it is not ``good``."""
     residual = np.zeros(values.shape)
     for there in np.unique(good, axis=1).T:

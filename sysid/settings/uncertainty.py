@@ -57,7 +57,7 @@ class UncertaintySettings:
     deviance_root: float = setting(
         1.959964, "sd", "Root of the deviance at the ends of an interval of 95 %.", "statistics"
     )
-    believed_roots: tuple[float, ...] = setting(
+    accepted_roots: tuple[float, ...] = setting(
         (1.5, 2.5),
         "sd",
         "Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most.",

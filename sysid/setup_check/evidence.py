@@ -104,8 +104,8 @@ class Quantity:
         if not self.places:
             return 0.0
         y, mu = self._compared(predicted)
-        beside = (y - size * mu).mean(axis=0)
-        return float(np.sqrt(np.mean(beside**2))) * SETUP_CHECK.layout_error / max(self.bias, 1e-300)
+        offset = (y - size * mu).mean(axis=0)
+        return float(np.sqrt(np.mean(offset**2))) * SETUP_CHECK.layout_error / max(self.bias, 1e-300)
 
     def _compared(self, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         y, mu = _filled(self.values), _filled(predicted)

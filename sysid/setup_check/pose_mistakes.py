@@ -3,8 +3,8 @@
 Where a recording begins the hands are mostly where the rig has them. A pose that is told of another point of the tool
 (the flange, say) or in another frame (that of the robot's foot) differs from the rig's start by just that constant:
 
-    P_told = P_true T    (tool),    T = S^-1 P_told(0)
-    P_told = B P_true    (base),    B = P_told(0) S^-1
+    P_stated = P_true T    (tool),    T = S^-1 P_stated(0)
+    P_stated = B P_true    (base),    B = P_stated(0) S^-1
 
 with S the start of the rig. Discrete mistakes need no such guess: exchanged and reversed axes, a pose that is told the
 wrong way round, fingers that are exchanged. They are tried where the start that they lead to is nearer to the rig's.
@@ -43,7 +43,7 @@ def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> list[Mistake]:
         anchored.append(list(_anchored(name, rest, first)))
         found += anchored[-1]
         found += _exchanged_axes(name, rest, first, reach_m)
-        found += _told_inversely(name, rest, first, reach_m)
+        found += _inverted_pose(name, rest, first, reach_m)
     names = list(poses)
     found = [replace(mistake, weight=mistake.weight / len(names)) for mistake in found]  # it may be in any hand
     for k, one in enumerate(names):
@@ -147,7 +147,7 @@ def _exchanged_axes(name: str, rest: Frame, first: Frame, reach_m: float) -> Ite
             )  # fmt: skip
 
 
-def _told_inversely(name: str, rest: Frame, first: Frame, reach_m: float) -> Iterator[Mistake]:
+def _inverted_pose(name: str, rest: Frame, first: Frame, reach_m: float) -> Iterator[Mistake]:
     """The base seen from the tool."""
     back = first[1].inv()
     if np.linalg.norm(-back.apply(first[0]) - rest[0]) > max(reach_m, 0.5 * np.linalg.norm(first[0] - rest[0])):

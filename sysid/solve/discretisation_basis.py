@@ -173,7 +173,7 @@ def added(parts: Sequence[Changes], coefficients: np.ndarray) -> np.ndarray:
     return np.asarray(sum(p.shape[:, :, None] * np.tensordot(p.functions, c, 1) for p, c in each))
 
 
-def told(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarray:
+def added_transpose(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarray:
     """The transpose of :func:`added`: values ``(n, m, q)`` times what each coefficient adds ``(l, m or 1, q)``."""
     found = []
     for p in parts:
@@ -230,7 +230,7 @@ def basis_of(
     return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, *sizes)
 
 
-def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
+def credible_error(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
     """Of what the most probable coefficients take for the discretisation error of a channel ``(n, m)``, without a bias,
     as much as may be: in no quantity more than ``SOLVE.allowed_error_factor`` times the largest thereabouts, rms over
     the columns.

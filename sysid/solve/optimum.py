@@ -77,7 +77,7 @@ class Fitted:
         hidden = 0 if self.sight is None else int(np.count_nonzero(~self.sight))
         return len(self.residual) - hidden - sum(c.number for c in self.sizes.values()) - self.pulls
 
-    def beside(self, other: Fitted) -> tuple[float, float]:
+    def common_chi2(self, other: Fitted) -> tuple[float, float]:
         """Chi-square of this and of another outcome of the same problem, over what both have in sight."""
         both = np.ones(len(self.residual), dtype=bool)
         for there in (self.sight, other.sight):

@@ -120,9 +120,9 @@ def without_outliers(
             if not mask.any():
                 measured.append(m)
                 continue
-            told = _told(run.name, m, mask)
-            found.append(told)
-            gone = np.repeat(mask & (not told.kept), DIMENSIONS.get(m.kind, 1), axis=1)
+            excluded = _outliers_of(run.name, m, mask)
+            found.append(excluded)
+            gone = np.repeat(mask & (not excluded.kept), DIMENSIONS.get(m.kind, 1), axis=1)
             measured.append(replace(m, values=np.where(gone, np.nan, m.values)))
         clean.append(replace(run, measured=tuple(measured)))
     return clean, found
@@ -181,7 +181,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     place = predicted.reshape(seen.shape)
     miss = seen - place
     there = np.isfinite(miss).all(axis=2)
-    miss = _beside_others(miss)
+    miss = _without_common_motion(miss)
     jumps = np.linalg.norm(np.diff(miss, axis=0), axis=2)
     jumps = jumps[np.isfinite(jumps) & (jumps > 0.0)]
     if len(jumps) < 3 * SOLVE.outlier_frames:
@@ -209,7 +209,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     return np.asarray(mask & (there.sum(axis=1) >= SOLVE.outlier_markers)[:, None])
 
 
-def _beside_others(miss: np.ndarray) -> np.ndarray:
+def _without_common_motion(miss: np.ndarray) -> np.ndarray:
     """The misses of a picture ``(n, m, d)`` without their median: what a camera shakes by is no mistake of any marker,
     and would hide those that are."""
     with warnings.catch_warnings():
@@ -336,7 +336,7 @@ def _of_others(seen: np.ndarray, place: np.ndarray, there: Mask, far: float) -> 
     return out
 
 
-def _told(run: str, measured: Measured, mask: Mask) -> Outliers:
+def _outliers_of(run: str, measured: Measured, mask: Mask) -> Outliers:
     """What was found, by marker."""
     d = DIMENSIONS.get(measured.kind, 1)
     number = int(np.isfinite(measured.values[:, ::d]).sum())

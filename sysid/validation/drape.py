@@ -118,9 +118,9 @@ def draped(folds: int, around: int, across: int) -> tuple[float, float, float]:
 
 def drape_cases() -> Iterator[Case]:
     """All comparisons of the disc."""
-    for folds, answers in DRAPED.items():
+    for folds, expected in DRAPED.items():
         yield from compare(
             f"fabric disc over a round table, {folds} folds",
-            ("drape coefficient", "height of crests", "height of valleys"), answers,
+            ("drape coefficient", "height of crests", "height of valleys"), expected,
             [draped(folds, n, n // 10) for n in (40, 80, 160)], STATICS, "rings, 2880 nodes", SHELL, scale=1.0,
         )  # fmt: skip

@@ -128,11 +128,11 @@ def shell_cases() -> Iterator[Case]:
     """All comparisons of shells that deflect far."""
     around, across = SLIT_CELLS
     runs = zip(*(slit_annulus((around // k, across // k)) for k in (4, 2, 1)), strict=True)
-    for (share, answers), found in zip(SLIT.items(), runs, strict=True):
+    for (share, expected), found in zip(SLIT.items(), runs, strict=True):
         quantities = ("lift, inner corner", "lift, outer corner")
         name = f"slit annular plate, {share:g} P"
-        yield from compare(name, quantities, answers, found, STATICS, f"{around} x {across}", SOURCE)
-    for (share, answers), found in zip(HEMISPHERE.items(), hemisphere(HEMISPHERE_CELLS), strict=True):
+        yield from compare(name, quantities, expected, found, STATICS, f"{around} x {across}", SOURCE)
+    for (share, expected), found in zip(HEMISPHERE.items(), hemisphere(HEMISPHERE_CELLS), strict=True):
         quantities = ("way, pressed points", "way, pulled points")
         name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
-        yield from compare(name, quantities, answers, [found], STATICS, mesh, SOURCE, remark=STIFF)
+        yield from compare(name, quantities, expected, [found], STATICS, mesh, SOURCE, remark=STIFF)

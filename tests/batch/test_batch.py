@@ -138,6 +138,6 @@ def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path):
         time.sleep(0.1)
         assert batch.poll() is None
     os.kill(batch.pid, signal.SIGINT)
-    _, told = batch.communicate(timeout=300)
-    assert "KeyboardInterrupt" in told
+    _, errors = batch.communicate(timeout=300)
+    assert "KeyboardInterrupt" in errors
     assert len(list(started.iterdir())) == 2

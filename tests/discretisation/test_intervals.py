@@ -74,7 +74,7 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     assert np.all(inside >= 90), inside
 
 
-def beside_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
+def with_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
     """The two parameters at the truth, by ``n`` samples of eight columns beside a discretisation error of a given
     ``amplitude`` that oscillates faster than its size drifts, in each column otherwise; the readings are off by
     ``errors`` ``(n, 8)``."""
@@ -95,15 +95,15 @@ def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
     block = np.minimum((np.linspace(0.0, 1.0, n) * 23).astype(int), 22)
     scores = []
     for _ in range(100):
-        fitted = beside_a_fast_error(n, 0.5**0.5 * SOLVE.rough_error_share * rng.standard_normal((23, 8))[block])
+        fitted = with_a_fast_error(n, 0.5**0.5 * SOLVE.rough_error_share * rng.standard_normal((23, 8))[block])
         miss = np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0]
         scores.append(miss / uncertainty(fitted).sd)
     assert np.std(scores, axis=0) == pytest.approx(np.ones(2), abs=0.3)
 
 
-def test_intervals_beside_a_discretisation_error_do_not_shrink_with_the_rate(vectors: None) -> None:
-    few, many = beside_a_fast_error(1200, 0.0), beside_a_fast_error(4800, 0.0)
-    alone = [uncertainty(beside_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
+def test_intervals_with_a_discretisation_error_do_not_shrink_with_the_rate(vectors: None) -> None:
+    few, many = with_a_fast_error(1200, 0.0), with_a_fast_error(4800, 0.0)
+    alone = [uncertainty(with_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
     assert alone[1] == pytest.approx(0.5 * alone[0], rel=0.01), "by noise alone they do"
     assert uncertainty(many).sd == pytest.approx(uncertainty(few).sd, rel=0.2)
 
@@ -140,7 +140,7 @@ def test_what_only_the_error_depends_on_is_not_determined(
     assert any(said.startswith("The data do not determine b:") for said in known.sentences)
 
 
-def test_slopes_are_believed_near_where_they_were_measured() -> None:
+def test_slopes_are_used_near_where_they_were_measured() -> None:
     shape, slopes = np.ones((len(T), 2)), np.full((len(T), 2, 2), 3.0)
     known = ErrorShape("mesh", ({"gauge": shape},), slopes=({"gauge": slopes},), at=TRUTH, reach=np.array([0.1, 0.2]))
     basis = basis_of([known], 0, run_of(shape), run_of(shape).measured[0])

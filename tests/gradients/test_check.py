@@ -218,8 +218,8 @@ def test_a_start_that_has_yielded_is_not_judged(small_rig):
     """What flowed under its own weight before the first step is just at yield: differences there have two sides."""
     rig = small_rig(effects={"bending_plasticity": {"yield_curvature_per_m": 0.2, "hardening_ratio": 0.1}})
     _, rows = check(rig, ["start"], steps=(1e-2, 1e-3, 1e-4))
-    beside = [r for r in rows if "triangles have yielded before the first step" in r["reason"]]
-    assert {r["verdict"] for r in beside} == {"jumps"}
+    at_yield = [r for r in rows if "triangles have yielded before the first step" in r["reason"]]
+    assert {r["verdict"] for r in at_yield} == {"jumps"}
     assert "differs" not in {r["verdict"] for r in rows}
 
 
@@ -326,7 +326,7 @@ JUMP = [3e4, 3e5, 8e5]
         ([1e-6, 1e-6], "agrees"),
     ],
 )
-def test_a_gradient_beside_a_jump_is_judged_by_the_steps_short_of_it(small, said):
+def test_a_gradient_next_to_a_jump_is_judged_by_the_steps_short_of_it(small, said):
     hidden = np.array([1e-6, 1e-5, 1e-4, 0.01, 0.1])
     assert differences.verdict(FIVE, [*JUMP, *small], hidden, 1e-4, alone=True) == said
 
@@ -404,7 +404,7 @@ def test_a_kink_is_named_with_its_side_and_is_no_success(small_rig, monkeypatch)
 
 
 @pytest.mark.parametrize(("side", "slope"), [("more", 2.0), ("less", 7.0)])
-def test_a_derivative_of_one_side_of_a_kink_is_told_from_a_wrong_one(side, slope):
+def test_a_derivative_of_one_side_of_a_kink_is_distinguished_from_a_wrong_one(side, slope):
     """Of what rises by 2 to the one side and by 7 to the other, and is curved; that of the middle is of no side."""
 
     def reading(away):

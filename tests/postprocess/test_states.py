@@ -71,7 +71,7 @@ def test_a_trace_comes_back_from_its_file_as_it_was(trace: Trace, tmp_path: Path
         save_trace(path, trace)
 
 
-def test_what_is_no_trace_is_told(tmp_path: Path) -> None:
+def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
     (tmp_path / "note.npz").write_text("no")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     for name in ("note.npz", "other.npz"):

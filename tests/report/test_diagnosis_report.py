@@ -67,7 +67,7 @@ def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     assert "Next experiment" in words["unknown"]
 
 
-def test_the_discretisation_error_stands_beside_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
+def test_the_discretisation_error_stands_next_to_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
     words = verdicts["named"].words
     assert f"wrench_gel force [mN] 14.22.06 7.10{TIMES} to 1.03{TIMES} 2.000.400" in words
     assert "the error of the simulator's own mesh and time step" in words

@@ -62,12 +62,12 @@ class Steps:
 
 
 def test_it_goes_round_with_the_amended_rig_until_a_replay_is_as_predicted(tmp_path: Path) -> None:
-    steps, told = Steps(), []
-    done = close_loop(str(task_file(tmp_path)), tmp_path / "out", 5, 7, steps.replay, steps.step, told.append)
+    steps, reported = Steps(), []
+    done = close_loop(str(task_file(tmp_path)), tmp_path / "out", 5, 7, steps.replay, steps.step, reported.append)
     assert [(r.number, r.reward, r.achieved, r.verdict, r.effects) for r in done] == [
         (1, 0.125, None, "named", ("end_effector_compliance",)), (2, 0.25, None, "", ()),
     ]  # fmt: skip
-    assert told == done and steps.replayed == [("round_1", False), ("round_2", True)]
+    assert reported == done and steps.replayed == [("round_1", False), ("round_2", True)]
     assert [words[0] for words in steps.asked] == ["optimise", "diagnose", "optimise"]
     assert all(words[words.index("--budget") + 1] == "7" for words in steps.asked if words[0] == "optimise")
     assert [

@@ -96,7 +96,7 @@ def test_stamps_may_be_off_by_the_time_out_and_no_more(sign: int, said: str) -> 
     assert f"The stamp of the pose of hand is {said}, at most 0.06 s" in bench.session.reason
 
 
-def test_a_reading_that_was_late_already_and_then_nothing_is_told_as_silence() -> None:
+def test_a_reading_that_was_late_already_and_then_nothing_is_reported_as_silence() -> None:
     bench = Bench().start().run(0.05)
     bench.at_s += 0.001
     bench.feed(late=0.0009)
@@ -221,7 +221,7 @@ def test_it_does_not_begin_from_elsewhere_or_blind() -> None:
     assert "A replay is running" in bench.session.execute(bench.now)
 
 
-def test_a_reading_without_a_stamp_is_told_and_may_be_allowed() -> None:
+def test_a_reading_without_a_stamp_is_reported_and_may_be_allowed() -> None:
     bench = Bench()
     bench.feed(late=bench.now.ros_s)
     assert "has no stamp" in bench.session.execute(bench.now)

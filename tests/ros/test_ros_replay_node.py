@@ -245,7 +245,7 @@ def test_a_fault_of_the_plant_aborts_and_holds(
     assert not unconfigured.change("configure"), "it is still active"
 
 
-def test_told_to_abort_it_holds_where_the_robot_is(unconfigured: Replayer, plant: Plant, tmp_path: Path) -> None:
+def test_on_abort_it_holds_where_the_robot_is(unconfigured: Replayer, plant: Plant, tmp_path: Path) -> None:
     active(unconfigured, press(10.0, 4.0), tmp_path)
     execute(unconfigured)
     unconfigured.wait(lambda: plant.z < REST_HEIGHT_M - 0.0003, "it does not go down")

@@ -111,7 +111,7 @@ def test_another_publisher_of_its_topics_is_said(client: Client) -> None:
         client.node.destroy_publisher(other)
 
 
-def test_a_commander_that_outruns_the_speed_limit_is_followed_and_told(client: Client) -> None:
+def test_a_commander_that_outruns_the_speed_limit_is_followed_and_reported(client: Client) -> None:
     """Three turns of 0.45 rad, each at once, where the limit is 3 rad/s and a step 0.02 s."""
     poses, reports = client.heard["current_pose"], client.heard["/diagnostics"]
     seen, still = len(reports), len(poses)
@@ -316,8 +316,8 @@ def test_simulated_time_steps_on_demand_and_a_physics_process_that_hangs(ros: No
         assert call("pause", True).success
         client.spin(0.1)
         at = seconds(clock)[-1]
-        answers = [call("step") for _ in range(3)]
-        assert all(a.success and "5 steps of 0.02 s" in a.message for a in answers), answers
+        responses = [call("step") for _ in range(3)]
+        assert all(a.success and "5 steps of 0.02 s" in a.message for a in responses), responses
         client.spin(0.1)
         assert seconds(clock)[-1] - at == pytest.approx(0.3, abs=0.021)
         assert call("pause", False).success

@@ -239,7 +239,7 @@ def test_a_cancelled_fit_ends_and_leaves_no_file(
     assert (again.success, again.message) == (False, "No job is running.")
 
 
-def test_a_crash_is_told_in_words_and_the_node_lives_on(
+def test_a_crash_is_reported_in_words_and_the_node_lives_on(
     fitter: Fitter, running: Callable[[], tuple[str, int]], tmp_path: Path
 ) -> None:
     job, worker = running()

@@ -40,7 +40,7 @@ from sysid.observations.rig_topics import topics_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
-from sysid.setup_check.check import notes_of, told
+from sysid.setup_check.check import likeliest_of_each_kind, notes_of
 from sysid.setup_check.compare import Comparison, compare
 from sysid.setup_check.probe import Probe, Rollouts, averaged
 from sysid.simulate import simulate_to_bag
@@ -144,13 +144,13 @@ def graded(setup: Setup, made: Made) -> Graded:
     if comparison is None or run is None:
         return grade("refused")
     named = comparison.named
-    sentence = "; or ".join(t.mistake.words for t in told(named))
+    sentence = "; or ".join(t.mistake.words for t in likeliest_of_each_kind(named))
     if named and named[0].mistake.kind in made.names:
         return grade("first", sentence)
     effect = effect_of(setup, run)
     if effect**2 < CHANCE:
         return grade("no effect", sentence, effect)
-    if any(t.mistake.kind in made.names for t in told(named)):
+    if any(t.mistake.kind in made.names for t in likeliest_of_each_kind(named)):
         return grade("equal", sentence, effect)
     if named or stopped:
         return grade("other", sentence or stopped[0].problem, effect)

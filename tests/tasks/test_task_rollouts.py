@@ -39,7 +39,7 @@ def test_a_rollout_does_not_depend_on_those_before(tmp_path: Path) -> None:
     assert rollouts.gradient(one).reward == pytest.approx(first, rel=1e-6)
 
 
-def test_a_robot_that_does_not_do_as_told_does_so_in_each_kind_of_rollout(tmp_path: Path) -> None:
+def test_a_robot_that_does_not_obey_does_so_in_each_kind_of_rollout(tmp_path: Path) -> None:
     """What acts on commands counts with the gradient and without it, as where a trajectory is rolled out."""
     rewards = {}
     for share in (0.0, -0.2):

@@ -114,8 +114,8 @@ def _taken(before: np.ndarray, now: np.ndarray, spacing: float) -> dict[int, int
     # What all do is motion: a jump is beside how the others move.
     there = np.isfinite(step)
     common = np.median((now - before)[there], axis=0)
-    beside = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
-    if len(jumped) == there.sum() and np.median(beside) < OBSERVATIONS.exchanged_jump_share * spacing:
+    deviation = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
+    if len(jumped) == there.sum() and np.median(deviation) < OBSERVATIONS.exchanged_jump_share * spacing:
         return {}
     distance = np.linalg.norm(now[jumped, None] - before[None, jumped], axis=-1)
     nearest = np.argmin(distance, axis=1)

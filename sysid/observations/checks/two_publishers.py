@@ -19,12 +19,12 @@ def two_publishers(recording: Recording) -> Iterator[Finding]:
     groups = (("pose", recording.poses), ("target pose", recording.target_poses))
     for _, poses in groups:
         for name, stream in poses.items():
-            yield from _told(name, stream.topic, stream.t, stream.position, "m", "mm", 1e3)
+            yield from _interleaved(name, stream.topic, stream.t, stream.position, "m", "mm", 1e3)
     for name, wrench in recording.wrenches.items():
-        yield from _told(name, wrench.topic, wrench.t, components(wrench)[:, :3], "N", "N", 1.0)
+        yield from _interleaved(name, wrench.topic, wrench.t, components(wrench)[:, :3], "N", "N", 1.0)
 
 
-def _told(
+def _interleaved(
     name: str, topic: str, t: np.ndarray, values: np.ndarray, unit: str, shown: str, scale: float
 ) -> Iterator[Finding]:
     found = two_levels(values)
