@@ -46,7 +46,7 @@ def simulate(
 
     ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
     48 bytes a node and instant and 24 more for each declared contact, ``keep_path``: :attr:`Trace.path` alone, 24 bytes
-    a node and instant. ``warm_start``: the path of a rollout near by, from which steps begin. ``left``: what an earlier
+    a node and instant. ``warm_start``: the path of a similar rollout, from which steps begin. ``left``: what an earlier
     rollout has left of the bodies. Raises ``ConvergenceError`` when a step does not converge even in small parts.
     """
     rollout = CoreRollout(scene, poses, times, settings or NewtonSettings(), keep_states=keep_states)

@@ -167,7 +167,7 @@ class FitProcess:
     def stop(self) -> Succeeded | None:
         """End the process and all that it started, and remove what is not finished.
 
-        If it had not told its end: what it would have told if all was written before it ended.
+        If it had not reported its end: what it would have reported if all was written before it ended.
         """
         if self._link.closed:
             return None

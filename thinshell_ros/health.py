@@ -22,7 +22,7 @@ SILENT_S = 1.0
 """A step that takes longer than this [s] is worth a warning."""
 
 REPEAT_S = 30.0
-"""Time [s] after which a fault that stays is told in the log again."""
+"""Time [s] after which a fault that stays is logged again."""
 
 BEHIND_M = 1e-3
 BEHIND_RAD = 0.01

@@ -1,4 +1,4 @@
-"""The physics process: requests in, answers out, and steps in between, in pace with the wall clock. No ROS."""
+"""The physics process: requests in, responses out, and steps in between, in pace with the wall clock. No ROS."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Loop:
         self._reported_at = -float("inf")
 
     def run(self) -> None:
-        """Go on until told to stop. Raises EOFError or OSError when the other side is gone."""
+        """Go on until a request to stop. Raises EOFError or OSError when the other side is gone."""
         self._link.send(Ready(self._physics.ids, self._physics.rest))
         self._pacer.start(self._clock(), self._physics.time)
         while self._running:
@@ -208,7 +208,7 @@ def end_with_parent() -> None:
 
 
 def run(link: Connection, settings: Settings) -> None:
-    """Body of the process: build, step, answer. Ends when told, or when the other side is gone."""
+    """Body of the process: build, step, answer. Ends on request, or when the other side is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node says when to stop
     end_with_parent()
     try:

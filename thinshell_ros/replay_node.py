@@ -140,7 +140,7 @@ class ReplayNode(ManagedNode, FinishingNode):
     def stop_requested(self) -> None:
         """Hold at once."""
         if self._deployment is not None:
-            self._deployment.abort("the node was told to end")
+            self._deployment.abort("the node was asked to end")
 
     def finish(self) -> int:
         """Finish the recording."""

@@ -16,11 +16,11 @@ from rclpy.utilities import ok, try_shutdown
 from sim_core.errors import ThinshellError
 
 DRAIN_S = 0.3
-"""Time [s] in which a node that has been told to end takes what has already arrived."""
+"""Time [s] in which a node that has been asked to end takes what has already arrived."""
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Spin a node until SIGINT, SIGTERM or shutdown: 0. A node that cannot be used as told: 2.
+    """Spin a node until SIGINT, SIGTERM or shutdown: 0. A node that cannot be used as configured: 2.
 
     A node joins what it started in its ``destroy_node``.
     """
@@ -49,7 +49,7 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
 
 
 class FinishingNode(Node):
-    """A node whose work is not done when it is told to end."""
+    """A node whose work is not done when it is asked to end."""
 
     def stop_requested(self) -> None:
         """What must be done at once; nothing by default."""

@@ -61,7 +61,7 @@ class SysidNode(Node):
         declare(self, "fit.upper", None, "upper bounds; [] or none: of the physics", fixed=False, any_type=True)
         declare(self, "fit.max_iterations", 200, "evaluations at most", bounds=(1, 100_000), fixed=False)
         declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
-        kinds = "what is estimated beside: time,bias,camera,pose; all; none"
+        kinds = "what is estimated as well: time,bias,camera,pose; all; none"
         declare(self, "fit.nuisance", "all", kinds, fixed=False)
         spread = "what is known before of fit.initial; 0: nothing"
         declare(self, "fit.prior_sd", None, spread, fixed=False, any_type=True)
@@ -147,7 +147,7 @@ class SysidNode(Node):
         return response
 
     def _on_poll(self) -> None:
-        """Take what the fit told, and publish: what is new at once, the time that passes every second."""
+        """Take what the fit reported, and publish: what is new at once, the time that passes every second."""
         if self._process is None:
             return
         self._elapsed_s = self._process.elapsed_s

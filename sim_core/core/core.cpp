@@ -246,7 +246,7 @@ int64_t thinshell_blocks(void *handle, int64_t *row, int64_t *column, double *va
   return count;
 }
 
-// Let a rollout's steps be noted from now on, on a tape that is returned; `bound`: on its memory [B], beside positions.
+// Let a rollout's steps be noted from now on, on a tape that is returned; `bound`: on its memory [B], in addition to positions.
 void *thinshell_tape(void *handle, int64_t bound) {
   Tape *tape = new Tape;
   tape->bound = std::size_t(bound);

@@ -100,7 +100,7 @@ class CoreRollout(CoreState):
         """Where each gel was pressed most."""
         self._seen = np.zeros((0, 3))
         self.given: State | None = None
-        """The state in which it was told to begin, where it did not settle."""
+        """The state in which it was asked to begin, where it did not settle."""
 
     def left(self) -> PermanentState | None:
         """What bodies keep of what has happened to them; None where they keep nothing."""

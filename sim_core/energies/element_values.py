@@ -1,7 +1,7 @@
-"""What the elements of a body have for themselves, beside the numbers of its material.
+"""What the elements of a body have for themselves, in addition to the numbers of its material.
 
 With the factor f of an element, those g of effects that grade the body from place to place and in time, and what an
-element has beside the body's Poisson's ratio and stiffness damping,
+element has in addition to the body's Poisson's ratio and stiffness damping,
 
     stiffness_e = f_e g_e stiffness,    nu_e = nu + dnu_e,    beta_e = beta + dbeta_e.
 
@@ -51,7 +51,7 @@ class ElementValues(ABC):
         self.grading = grading
 
     def shift_nu(self, shift: np.ndarray) -> None:
-        """Let each element have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
+        """Add ``shift`` ``(m,)`` to the configured Poisson's ratio, element by element."""
         self._nu_shift[:] = shift
         self.configure(self._given)
 

@@ -15,7 +15,7 @@ A parameter may also change in time: a modulus E (1 + a f(t)), a hand that is of
 parameter's derivative of each step, weighed by the course f at its end.
 
 An end effector that gives way moves by its compliance times the load that the baseline puts on it, which is propagated
-like any motion of a mount. All of these are columns of the core beside the derivatives (:mod:`sim_core.core.amended`).
+like any motion of a mount. All of these are columns of the core next to the derivatives (:mod:`sim_core.core.amended`).
 """
 
 from __future__ import annotations

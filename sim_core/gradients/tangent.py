@@ -1,10 +1,10 @@
 """Forward sensitivities of a rollout with respect to parameters, through the implicit steps.
 
 Each step is linearised where it ended and carries the derivative of the state along every parameter: one factorisation
-a step, one back-substitution a parameter, on the core beside the state (:file:`sim_core/core/include/rollout.hpp`). The
-derivatives are those of the discrete rollout, exact but for round-off and for the slopes of the parameters themselves.
-Offsets of end effectors move what follows them, in every step and at the start
-(:mod:`sim_core.gradients.boundary_motion`).
+a step, one back-substitution a parameter, in the core, together with the state
+(:file:`sim_core/core/include/rollout.hpp`). The derivatives are those of the discrete rollout, exact but for round-off
+and for the slopes of the parameters themselves. Offsets of end effectors move what follows them, in every step and at
+the start (:mod:`sim_core.gradients.boundary_motion`).
 
 Where the true derivative jumps (a contact made or lost within the step, the onset of yield, a point that has just
 begun to press) it is that of the branch that the rollout took. A number of zero (friction, a share) is differentiated
@@ -59,7 +59,7 @@ def simulate_tangent(
 
 
 def tangent_at_rest(scene: Scene, frames: Mapping[str, Frame], along: Sequence[Direction]) -> dict[str, np.ndarray]:
-    """Derivatives of every channel ``(..., n_parameters)`` at rest with the mounts at ``frames``, as told; others are
+    """Derivatives of every channel ``(..., n_parameters)`` at rest with the mounts at ``frames``, nominal; others are
     where the scene starts."""
     moved = motions(scene.rig, along)
     numbers = NumberSlopes(*slopes(scene, along))

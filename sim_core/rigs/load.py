@@ -133,7 +133,7 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
 
 
 def _with_files(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The same with the paths of mesh files, which are told from the folder of the rig, made absolute."""
+    """The same with the paths of mesh files, which are relative to the folder of the rig, made absolute."""
     bodies = data.get("bodies")
     if not isinstance(bodies, dict):
         return data

@@ -90,15 +90,15 @@ class Fields:
     nu is above -1 and below 0.5 everywhere, dampings are not below zero and the share that relaxes is in [0, 1), also
     when a rig with another number shifts or scales them (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
-    Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
-    shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
+    Rest angles are those of the shape at rest, but for what they were set to in addition: that difference stays when
+    the shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
     """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shares: dict[str, np.ndarray] = {}
-        self._shifts: dict[str, np.ndarray] = {}  # beside the rig's number
-        self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
+        self._shifts: dict[str, np.ndarray] = {}  # added to the rig's number
+        self._creases: dict[str, np.ndarray] = {}  # rest angles added to those of the shape
         self.changes = 0
         """How often values were set since the scene was built; arrays that are handed out are copies."""
 

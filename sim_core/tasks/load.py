@@ -61,7 +61,7 @@ def task_names() -> list[str]:
 
 
 def read_task(name_or_path: str | Path) -> Task:
-    """A task file, by the name of one that comes with the package or by its path. Rigs that it names are sought beside
+    """A task file, by the name of one that comes with the package or by its path. Rigs that it names are sought next to
     it first."""
     path = find_config(name_or_path, "tasks")
     task = validate(Task, read_mapping(path), str(path))

@@ -105,7 +105,7 @@ def plan_experiments(
     nuisance: Collection[str] = KINDS,
 ) -> Plan:
     """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together,
-    with the nuisances that a fit estimates beside them (:func:`sysid.model.nuisance_parameters.checked_kinds`).
+    with the nuisances that a fit estimates with them (:func:`sysid.model.nuisance_parameters.checked_kinds`).
 
     Raises ``ConfigError`` for unknown parameters and for sensors that declare no noise, ``ConvergenceError`` where an
     experiment cannot be simulated.

@@ -7,7 +7,7 @@ with its surface, half its thickness from its middle, or with its middle in simu
 surface; what that changes is extrapolated from half of the way, so that b_e is between 0 and 1.
 
 Poses are known to within their noise only. Where the motion really was lies about the smooth curve that a rollout
-follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings answers to that by more than the noise of its markers.
+follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings responds to that by more than the noise of its markers.
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
 b ~ N(0, 1), the covariance of which is that of the draws.

@@ -57,8 +57,8 @@ def follows(
     noise: dict[str, ChannelNoise],
     known_sd: np.ndarray,
 ) -> list[Share]:
-    """The shares a of each of the ``others``, all together, beside the parameters of ``one``, which has derivatives by
-    them; these are known to ``known_sd`` ``(p,)``.
+    """The shares a of each of the ``others``, all together, jointly with the parameters of ``one``, which has
+    derivatives by them; these are known to ``known_sd`` ``(p,)``.
 
     Parts of the time are clusters for the robust standard deviations (Liang & Zeger, Biometrika 73, 1986).
     """

@@ -79,7 +79,7 @@ def fit_runs(
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     Of what each bag has for itself that rig has the mean. ``held_out``: scored with all readings, also those that are
-    left out of fits; ``engine``: threads at hand, for several fits in a row; ``on_step``: told after each
+    left out of fits; ``engine``: threads at hand, for several fits in a row; ``on_step``: called after each
     evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
     check_apart(runs, held_out)
@@ -256,7 +256,7 @@ def _at_given(found: _Found, stays: Fitted, first: np.ndarray) -> _Found:
     profiles = [replace(p, value=values[p.name]) for p in found.profiles if p.limited]
     profiles = [p for p in profiles if p.ci95[0] <= p.value <= p.ci95[1]]
     return replace(
-        found, fitted=stays, estimates=estimates, correlation=correlation, 
+        found, fitted=stays, estimates=estimates, correlation=correlation,
         findings=_with_profiles(stays, findings, profiles),
         reduced_chi2=reduced, profiles=profiles, contradicted=[],
     )  # fmt: skip
@@ -360,7 +360,7 @@ def _fit_without_outliers(
             if ended is None:
                 raise
             look, problem, fitted = ended
-            end_unconverged(fitted, error, "it was not repeated without the readings that are mistakes beside it")
+            end_unconverged(fitted, error, "it was not repeated without its outliers")
             break
         ended = look, problem, fitted
         if not robust or not left or fitted.cut_short:
@@ -374,7 +374,7 @@ def _fit_without_outliers(
 
 
 def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
-    """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
+    """The runs without the outliers under the rig that a fit starts from; as they are where it cannot follow."""
     if not any(m.kind in (*DIMENSIONS, WRENCH) for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]

@@ -1,15 +1,16 @@
 """From where a fit is searched for: from the rig's values, from others if that is asked for, and again from near the
 best while it is not good.
 
-Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are chosen once by the data:
-the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit best are
-searched from. Restarts are for
+Where contacts stick and slide the misfit has several minima. Starts other than the rig's own are chosen once by the
+data: the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit
+best are searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
 
 What the discretisation error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
-one place and not in another. While a search beside it brings chi-square down by more than half there is nothing to be
-made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it stands.
+one place and not in another. While another search near it brings chi-square down by more than half there is nothing to
+be made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it
+stands.
 
 Where an end effector really is decides whether a sheet between two of them hangs or is taut, and which way it buckles.
 A fit that leaves more than noise in any quantity is therefore tried again from other offsets of the end effectors, if
@@ -161,8 +162,8 @@ class Searches:
         return found
 
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
-        """The best of searches from the starts that were asked for beside the rig's, which is kept unless another has
-        ended where the fit is better by more than chance."""
+        """The best of searches from the starts that were asked for in addition to the rig's, which is kept unless
+        another has ended where the fit is better by more than chance."""
         self._found, self._begun, best = [first], [at], first
         for start in self._drawn(problem, at, first):
             if not self._may_go_on(best):

@@ -59,19 +59,19 @@ def load_runs(
                 "Give a longer recording, or a longer window of it.",
             )
         runs.append(run if fresh_bodies else replace(run, earlier=earlier_motion(whole.values(), run)))
-        whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
+        whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # reported once
     return runs[: len(bags)], runs[len(bags) :]
 
 
 def load_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
-    """Read a bag, or a window of one, and line it up with a rig: with all that there is to be told of how it was read.
+    """Read a bag, or a window of one, and line it up with a rig: with all that there is to report on how it was read.
     Raises ``RecordingError`` when nothing can be compared, or what it says cannot be (:func:`read_run`)."""
     part = part_of(Path(path))
     return window_of(rig, read_run(rig, part.path, despite), part)
 
 
 def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
-    """Read a bag and line it up with a rig; what is about some times only is left to be told of the window that is
+    """Read a bag and line it up with a rig; what is about some times only is left to be reported of the window that is
     used. Readings that :func:`sysid.observations.checks.examine` finds faulty are left out.
 
     Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless

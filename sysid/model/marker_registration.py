@@ -129,7 +129,7 @@ def _about(trajectory: PoseTrajectory, t: float) -> PoseTrajectory:
 
 
 def _frames(rig: Rig, name: str, first: FirstFrame) -> dict[str, Frame]:
-    """Where the end effectors were told to be when a camera took its first frame, by the latency of a rig."""
+    """Where the end effectors were commanded to be when a camera took its first frame, by the latency of a rig."""
     when = first.t - total_delay(rig, name, "tracks")
     return {mount: frame_of(*trajectory.at(when)) for mount, trajectory in first.poses.items()}
 

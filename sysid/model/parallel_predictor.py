@@ -21,12 +21,12 @@ from sysid.model.rollout_paths import RolloutPaths
 from sysid.observations.observations import Run
 
 Predict = Callable[[SerialPredictor, bool, NodePath | None], Prediction]
-"""Makes a prediction with an engine; whether it keeps its path, and the path beside which it is made."""
+"""Makes a prediction with an engine; whether it keeps its path, and the path that it starts from."""
 
 
 class ParallelPredictor:
     """As :class:`sysid.model.predictor.SerialPredictor`, on ``workers`` threads, each with scenes of its own. Use as a
-    context manager; when it is left, what runs is told to end.
+    context manager; when it is left, what runs is asked to end.
 
     ``on_done``: called on such a thread after each prediction, made or failed.
     """
@@ -101,7 +101,7 @@ class ParallelPredictor:
         return [future.result() for future in futures]
 
     def _begun(self, rig: Rig, run: Run, refine: int, dt: float | None, predict: Predict) -> Future[Prediction]:
-        """A prediction on a thread, beside the path of the first one like it."""
+        """A prediction on a thread, warm-started from the path of the first one like it."""
 
         def make(keep_path: bool, warm_start: NodePath | None) -> Prediction:
             if not hasattr(self._own, "engine"):

@@ -1,10 +1,11 @@
 """Windows of recordings: the presses that matter out of an hour, one to fit and another to hold out.
 
-A window is simulated by itself, beside others, from rest where the end effectors are at its first instant. That is true
-of what is held by end effectors or the world, if nothing moves and nothing touches then. History variables that stay
-come from the motion before (:mod:`sysid.model.sequence`); where free bodies lie, and what relaxes, does not. A window
-that begins while something moves says so. So does one whose readings then are not those of rest: as they have changed
-since the start of the recording, so must they in simulations of both instants at rest, by the rig that was fitted.
+A window is simulated by itself, apart from others, from rest where the end effectors are at its first instant. That is
+true of what is held by end effectors or the world, if nothing moves and nothing touches then. History variables that
+stay come from the motion before (:mod:`sysid.model.sequence`); where free bodies lie, and what relaxes, does not. A
+window that begins while something moves says so. So does one whose readings then are not those of rest: as they have
+changed since the start of the recording, so must they in simulations of both instants at rest, by the rig that was
+fitted.
 """
 
 from __future__ import annotations

@@ -244,7 +244,7 @@ def rests(run: Run, values: np.ndarray, t: np.ndarray, declared: float) -> list[
 
 def has_trend(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     """Whether readings ``(n, m)`` at the times ``t`` [s] are far smoother than noise of their level and colour, and
-    have few zero crossings beside a straight line. Third differences of noise with variance ``sigma^2`` and correlation
+    cross a straight line seldom. Third differences of noise with variance ``sigma^2`` and correlation
     ``rho^k`` have the variance
 
         sigma^2 (20 - 30 rho + 12 rho^2 - 2 rho^3).

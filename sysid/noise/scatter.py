@@ -55,7 +55,7 @@ def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def line_residual(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """What is left of columns ``(n, k)`` at times ``(n,)`` beside a line each, 0 where there is no reading."""
+    """Residuals of columns ``(n, k)`` at times ``(n,)`` from a line each, 0 where there is no reading."""
     return _line_residual(values, np.isfinite(values), _line(at))
 
 
@@ -64,7 +64,7 @@ def _line(at: np.ndarray) -> np.ndarray:
 
 
 def _line_residual(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """What is left of each column beside a line, 0 where it is not ``good``."""
+    """Residual of each column from a line, 0 where it is not ``good``."""
     residual = np.zeros(values.shape)
     for there in np.unique(good, axis=1).T:
         alike = (good == there[:, None]).all(axis=0)
@@ -82,7 +82,7 @@ def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
     """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
-    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    left by a fit of the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
     n = len(at)
     if rho == 0.0 or n > NOISE.longest_exact_samples:
         return 1.0

@@ -127,7 +127,8 @@ def _resolved(role: str, topics: Mapping[str, str | None], bag: Bag, notes: Note
 
 
 def _without_unneeded(roles: dict[str, dict[str, str]], bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
-    """Roles without topics that hold no message and are not needed: images, and commanded beside measured poses."""
+    """Roles without topics that hold no message and are not needed: images, and commanded poses where there are
+    measured ones."""
     kept = {role: dict(found) for role, found in roles.items()}
     for role, name, topic in [(r, n, t) for r, found in roles.items() for n, t in found.items()]:
         spare = role == "images" or (role == "target_pose" and name in roles["current_pose"])
@@ -138,7 +139,7 @@ def _without_unneeded(roles: dict[str, dict[str, str]], bag: Bag, notes: Notes) 
 
 
 def _calibration(topic: str, bag: Bag, of_rig: bool, notes: Notes) -> CameraInfo | None:
-    """What a camera_info says; beside a rig, which has intrinsics of its own, one that cannot be used is left out."""
+    """What a camera_info says; with a rig, which has intrinsics of its own, one that cannot be used is left out."""
     try:
         return sensors.read_camera_info(topic, bag.messages(topic), notes)
     except RecordingError as error:

@@ -163,7 +163,7 @@ def camera_info_topic(
     bag: Mapping[str, TopicInfo],
     notes: Notes,
 ) -> str | None:
-    """Find the camera_info of a camera: as declared, else beside its other topics, else the only one."""
+    """Find the camera_info of a camera: as declared, else in the namespace of its other topics, else the only one."""
     topic = declared.get(camera)
     if topic is not None:
         return _named("camera_info", topic, bag, notes)

@@ -173,7 +173,7 @@ class Rival:
 
 
 def rivals(d: Diagnosis) -> list[Rival]:
-    """All that was tried, most probable first; the answer or answers are marked."""
+    """All that was tried, most probable first; those of the verdict are marked."""
     named = {(c.name, c.place) for c in d.effects}
     placed = [(f"/effects/{k}", c) for k, c in enumerate(d.effects)]
     rest = [(f"/alternatives/{k}", c) for k, c in enumerate(d.alternatives) if (c.name, c.place) not in named]

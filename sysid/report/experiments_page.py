@@ -24,7 +24,7 @@ HEAD = """# Experiments that identify materials
 
 Each picture shows the rig from the side at some instants, the paths of the end effectors, and the commanded
 displacement and turn against time. Each table says how well the readings of an experiment would determine each
-parameter: the relative standard deviation, which `thinshell plan` prints as `sd` beside the 95 % interval that follows
+parameter: the relative standard deviation, which `thinshell plan` prints as `sd` next to the 95 % interval that follows
 from it, about twice that either way. It allows for the noise that the rig declares, the error of mesh and time step,
 and all nuisances of a fit (time, bias, camera, pose); a dash where the readings do not tell. Values are those of the
 rig.
@@ -65,7 +65,7 @@ def parameters_of(rig: Rig, experiments: Sequence[Experiment]) -> list[str]:
 
 
 def page_path(pictures: Path) -> Path:
-    """The page of a folder of pictures: ``DIR.md`` beside ``DIR``."""
+    """The page of a folder of pictures: ``DIR.md`` next to ``DIR``."""
     pictures = pictures.absolute()
     return pictures.with_name(f"{pictures.name}.md")
 

@@ -15,12 +15,12 @@ class DiagnosisSettings:
     # baseline
     baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
     baseline_evaluations_beside: int = setting(
-        5, "1", "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.", "cost"
+        5, "1", "Evaluations allowed to it with the error of mesh and time step, measured where it came to.", "cost"
     )
     fit_tolerance: float = setting(
         2.0,
         "1",
-        "Fall of chi-square, in units of the misfit, below which fits of the baseline and of answers end.",
+        "Fall of chi-square, in units of the misfit, below which fits of the baseline and of candidate models end.",
         "judgement",
     )
     branch_misfit_ratio: float = setting(
@@ -117,7 +117,7 @@ class DiagnosisSettings:
     unpredictable_signal_share: float = setting(
         0.05, "1", "The same over the largest deformation of the run.", "judgement"
     )
-    event_s: float = setting(0.3, "s", "Length of the running median beside which a change is an event.", "judgement")
+    event_s: float = setting(0.3, "s", "Length of the running median from which a change is an event.", "judgement")
     event_margin_s: float = setting(
         0.03,
         "s",
@@ -228,7 +228,7 @@ class DiagnosisSettings:
         "differ in that.",
         "judgement",
     )
-    window_parts: int = setting(8, "1", "Parts of a window that are told apart.", "convention")
+    window_parts: int = setting(8, "1", "Parts of a window that are distinguished.", "convention")
     closure_sd: Mapping[str, float] = setting(
         {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
         "fitted scale",

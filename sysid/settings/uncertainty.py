@@ -60,7 +60,7 @@ class UncertaintySettings:
     accepted_roots: tuple[float, ...] = setting(
         (1.5, 2.5),
         "sd",
-        "Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most.",
+        "Roots of the deviance at the ends of a quadratic interval that is accepted: 23 % off at the most.",
         "judgement",
     )
     farthest_ranges: float = setting(3.0, "plausible ranges", "Farthest that a parameter is taken.", "cost")

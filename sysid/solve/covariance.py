@@ -6,7 +6,7 @@ estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b 
 not trust the noise model in time (White 1982; Newey & West 1987), and that of the colour of what the fit leaves
 (:mod:`sysid.noise.autocorrelation`).
 
-Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
+Sentences are about the parameters that were asked for, with the nuisances projected out.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations ``(p,)`` by the jacobian of a fit, by how much they exceed what the noise says ``(p,)``, and
     correlation ``(p, p)``.
 
-    The search weighs recordings by 1 / kappa beside what was known before (:mod:`sysid.solve.gauss_newton`). Its
+    The search weighs recordings by 1 / kappa against the prior (:mod:`sysid.solve.gauss_newton`). Its
     estimate has the covariance A (J^T S J / kappa^2 + P) A, where A = (J^T J / kappa + P)^-1 and J^T S J is that of the
     scores.
     """
@@ -211,7 +211,7 @@ def _not_determined(parameter: FitParameter, why: str) -> Finding:
 
 
 def _no_more_than_known(parameter: FitParameter, reduced: float) -> Finding:
-    """Recordings that a rig misses by far count for nothing beside what was known: nobody knows what they would say."""
+    """Recordings that a rig misses by far count for nothing against the prior: what they would say is unknown."""
     if reduced <= SOLVE.poor_reduced_chi2:
         return _not_determined(parameter, "its interval is what was known of it before")
     sentence = (

@@ -56,7 +56,7 @@ class ErrorShape:
     """A known shape of error for each run and channel, with an uncertain size that may drift.
 
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
-    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, believed up to
+    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, used up to
     ``reach`` ``(p,)`` to either side, scaled; empty: however far. Size: normal with ``mean`` and ``sd``.
     ``sight``: which readings were in sight in all that was measured, bool ``(n, m)``; empty: all. ``unforeseen``:
     largest changes ``(n, m)`` from one measurement to the next that slopes did not tell, where known.

@@ -130,7 +130,7 @@ def minimise(
 def _edge(
     best: Point, refused: list[Point], bounds: tuple[np.ndarray, np.ndarray], tolerance: float, radius: float
 ) -> End:
-    """The end at the best point though derivatives promise more: beside a kink, or beside a jump that hides much."""
+    """The end at the best point though derivatives promise more: at a kink, or at a jump that hides much."""
     hidden = _step(best, [], 1.0, bounds)[1]
     if hidden > SOLVE.serious_fall * tolerance and any(_jump(best, p) > tolerance for p in refused):
         return End(best, False, AT_JUMP, radius)

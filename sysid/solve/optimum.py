@@ -22,8 +22,8 @@ class Fitted:
     together are used up; ``compared``: samples of each channel that are compared (:mod:`sysid.noise.autocorrelation`);
     ``sight``: which rows are no reading that is predicted out of sight, whose residual is 0 ``(n,)``, None if there is
     none; ``began``: chi-square where the search began, infinite without one; ``elsewhere``: the discretisation error
-    that it was found beside is that of another place, and is to be measured again before anything is made of the
-    misfit; ``still``: the jacobian beside a discretisation error that would not change with the parameters, None where
+    that it was found with is that of another place, and is to be measured again before anything is made of the
+    misfit; ``still``: the jacobian with a discretisation error that would not change with the parameters, None where
     it does not; ``interrupted``: by Ctrl-C."""
 
     parameters: list[FitParameter]
@@ -53,7 +53,7 @@ class Fitted:
 
     @property
     def cut_short(self) -> bool:
-        """Nothing is to be searched any more, from elsewhere or beside another error."""
+        """Nothing is to be searched any more, from elsewhere or with another error."""
         return self.interrupted or self.limited
 
     @property

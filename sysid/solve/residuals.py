@@ -48,7 +48,7 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
 class Assembled(NamedTuple):
     """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
     probable ``sizes`` of error shapes, which rows are no reading that is predicted out of ``sight`` ``(n,)``, and the
-    jacobian beside a discretisation error that would be ``still`` ``(n, p)``, None where it is."""
+    jacobian with a discretisation error that would be ``still`` ``(n, p)``, None where it is."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -121,7 +121,7 @@ class Problem:
 
     def tared(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """As :meth:`read`, with the bias that is best where all that the rig misses is noise, measured units
-        ``(n, m)``: beside a discretisation error part of that passes for a bias."""
+        ``(n, m)``: with a discretisation error part of that passes for a bias."""
         prediction = fitted.predictions[index].values[measured.channel]
         sd = bias_sd(measured) if self.bias else None
         if sd is None:

@@ -1,6 +1,6 @@
 """Takes the coefficients of a basis out of a least-squares problem.
 
-Whitened residuals v of a channel hold, beside noise of unit variance, O o of coefficients o that each column has for
+Whitened residuals v of a channel hold noise of unit variance, O o of coefficients o that each column has for
 itself, C c of coefficients c that all columns share, and G^T s of the noise that all markers of a picture have in
 common (:mod:`sysid.noise.common_mode`), all of unit variance. They have one covariance, and the best coefficients leave
 

@@ -146,7 +146,7 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
 
 def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
     """A sentence for each nuisance that is not what the rig says, and what to do about it where the fit is ``trusted``:
-    beside misfit, or parameters that are not determined, it may stand for those."""
+    next to a misfit, or parameters that are not determined, it may stand for those."""
 
     def remark(what: str, remedy: str) -> str:
         return f"{what}: {remedy}." if trusted else f"{what}, or that stands for something else."

@@ -81,7 +81,7 @@ class Profiler:
         self._calibration = self._sd**2 / np.diag(inverse_information(self._best.jacobian, self._prior))
 
     def check(self) -> list[str]:
-        """A sentence for each quadratic interval that is not to be believed, by an evaluation at each of its ends;
+        """A sentence for each quadratic interval that does not hold, by an evaluation at each of its ends;
         where a better fit is met there, a sentence about that alone."""
         jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
         roots = self._run(lambda job: self._root_at_end(*job), jobs, 1.0)

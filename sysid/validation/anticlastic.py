@@ -104,7 +104,7 @@ def bent_strip(pattern: str, cells: tuple[int, int]) -> list[tuple[tuple[float, 
 
 
 def anticlastic_cases() -> Iterator[Case]:
-    """All comparisons of strips bent by couples; answers are those of the curvature that a mesh has."""
+    """All comparisons of strips bent by couples; solutions are those of the curvature that a mesh has."""
     for pattern in ("regular", "irregular"):
         meshes = [bent_strip(pattern, cells) for cells in ((40, 16), (80, 32))]
         for value, (others, theirs), (expected, ours) in zip(ASHWELL, *meshes, strict=True):

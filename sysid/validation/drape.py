@@ -5,10 +5,10 @@ of 18 cm, as in the standard test (BS 5058), which holds the fabric between two 
 with the weight and the bending stiffness of a denim. It may rest with one number of folds or another; which it takes
 depends on how it is let down, so light forces at its rim begin the folds and then fade away.
 
-The answers are those of another method, which shares nothing with this one: the same shell (Koiter's energy) by
-B-splines of degree five along the radius and Fourier series around, its energy minimised by Newton's method among
-shapes with that number of equal folds (``tests/validation/draped_disc.py``). Eight harmonics of the folds in place of
-the fourteen here change the coefficient by 0.002.
+The reference solutions are those of another method, which shares nothing with this one: the same shell (Koiter's
+energy) by B-splines of degree five along the radius and Fourier series around, its energy minimised by Newton's method
+among shapes with that number of equal folds (``tests/validation/draped_disc.py``). Eight harmonics of the folds in
+place of the fourteen here change the coefficient by 0.002.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ End moment (Sze, Liu & Lo, example 3.2: L = 12): the strip is an arc of angle t 
 largest moment: tip at (sin t / t, (1 - cos t) / t) L. The moment is a couple that turns with a rigid tip
 (:mod:`sim_core.energies.couple`).
 
-Answers: :mod:`sysid.validation.planar_elastica`.
+Solutions: :mod:`sysid.validation.planar_elastica`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ takes 7.5687 (Peirce) for Gamma."""
 
 MATTIASSON = "Mattiasson 1981, boundary value problem"
 SZE = "problems of Sze, Liu & Lo 2004, planar elastica"
-PRINTED = "the printed answers, those of meshes of quadrilaterals, are up to 0.5 % off the elastica"
+PRINTED = "the printed solutions, those of meshes of quadrilaterals, are up to 0.5 % off the elastica"
 
 
 def heavy_strip(gamma: float, pattern: str, cells: tuple[int, int]) -> tuple[float, float]:

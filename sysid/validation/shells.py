@@ -1,4 +1,4 @@
-"""Large deflections of shells with known answers: benchmarks of Sze, Liu & Lo, Finite Elem. Anal. Des. 40, 2004.
+"""Large deflections of shells with known solutions: benchmarks of Sze, Liu & Lo, Finite Elem. Anal. Des. 40, 2004.
 
 Slit annular plate: a flat ring cut along a radius, one lip clamped, the other lifted by a line force; it becomes
 a screw. Inner radius 6, outer 10, h = 0.03, E = 21e6, nu = 0, line force up to 0.8 per length.
@@ -31,8 +31,8 @@ SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 80
 SOURCE = "Sze, Liu & Lo 2004"
 STIFF = (
     "flat triangles on a doubly curved shell resist a bend that does not stretch, so it takes a fine mesh: 1.9 % on "
-    "4 x 32 x 32, 1.0 % on 4 x 64 x 64. The printed answers, those of 16 x 16 quadrilaterals, are not exact enough for "
-    "an order: see the pinched hemisphere"
+    "4 x 32 x 32, 1.0 % on 4 x 64 x 64. The printed solutions, those of 16 x 16 quadrilaterals, are not exact enough "
+    "for an order: see the pinched hemisphere"
 )
 
 

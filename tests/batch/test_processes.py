@@ -133,7 +133,7 @@ def test_a_process_that_ends_while_another_is_being_started_is_reported_as_one_t
 
 
 def test_workers_leave_the_other_cores_to_each_other():
-    """One thread of linear algebra each, and one beside them, where a library would take as many as there are cores."""
+    """One thread of linear algebra each, and one more, where a library would take as many as there are cores."""
     with threadpool_limits(2):
         with worker_pool(1) as pool:
             threads = [*pool.submit(_threads).result(), *_threads()]

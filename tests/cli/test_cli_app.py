@@ -148,7 +148,7 @@ def test_an_interrupt_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> Non
 
 @pytest.fixture(scope="module")
 def report() -> dict[str, Any]:
-    """What the doctor says of this machine; its exit code beside it."""
+    """What the doctor says of this machine; and its exit code."""
     done = run("doctor", "--json")
     return {**json.loads(done.stdout), "code": done.returncode}
 

@@ -123,7 +123,7 @@ def one_triangle(point, size, law=THIN):
 
 @pytest.mark.parametrize("height", [1e-4, -1e-4, 0.0])
 def test_nothing_is_felt_beyond_the_border_of_a_sheet(height):
-    """A point beside a sheet, in its plane or a little over it, further away than the thickness."""
+    """A point off a sheet, in its plane or a little over it, further away than the thickness."""
     for place in ([-3e-4, 2e-3], [2e-3, -3e-4], [6e-3, 6e-3], [-3e-4, -3e-4]):
         force, gap = one_triangle([*place, height], 0.01)
         assert not force.any()

@@ -1,4 +1,4 @@
-"""What experiments can determine, told before they are made."""
+"""What experiments can determine, computed before they are made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a known discretisation error makes of residuals, and of what is known of parameters beside it."""
+"""What a known discretisation error makes of residuals, and of what is known of parameters under it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
 
 
 def with_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
-    """The two parameters at the truth, by ``n`` samples of eight columns beside a discretisation error of a given
+    """The two parameters at the truth, by ``n`` samples of eight columns with a discretisation error of a given
     ``amplitude`` that oscillates faster than its size drifts, in each column otherwise; the readings are off by
     ``errors`` ``(n, 8)``."""
     t, j = np.linspace(0.0, 1.0, n)[:, None], np.arange(8)
@@ -151,7 +151,7 @@ def test_slopes_are_used_near_where_they_were_measured() -> None:
 
 
 def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:
-    """Beside an error of ten times the noise, a tenth of the readings missing: what is left is noise."""
+    """With an error of ten times the noise, a tenth of the readings missing: what is left is noise."""
     rng, rho = np.random.default_rng(2), np.array([0.9, 0.9])
     t = np.linspace(0.0, 1.0, 400)
     coloured = np.zeros((len(t), 2))
@@ -205,7 +205,7 @@ def test_an_error_far_above_the_noise_is_said() -> None:
 
 
 def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None:
-    """Beside one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
+    """Relative to one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
     shape = np.column_stack([np.ones(len(T)), np.zeros(len(T))])
     run = run_of(np.zeros((len(T), 2)))
     basis = basis_of([ErrorShape("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
@@ -224,7 +224,7 @@ def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> No
 
 
 def test_errors_of_a_rig_that_is_right_are_the_noise(vectors: None) -> None:
-    """Beside a discretisation error of ten times the noise, which is not in the readings, of a wrench that was not
+    """With a discretisation error of ten times the noise, which is not in the readings, of a wrench that was not
     tared."""
     rng, bias = np.random.default_rng(3), np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
     noise = {"cell": ChannelNoise(np.full(6, SIGMA), np.zeros(6), "test")}

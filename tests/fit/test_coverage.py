@@ -189,7 +189,7 @@ def threads(monkeypatch):
 
 
 def test_a_process_that_ends_leaves_the_cases_that_have_ended(small_rig, threads):
-    """Whichever are told of first: all that had not ended fail at once, and none of them is counted as outside."""
+    """Whichever are reported first: all that had not ended fail at once, and none of them is counted as outside."""
     threads |= dict.fromkeys((4, 6), BrokenProcessPool("abruptly"))
     found = measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 8))
     assert [o.case for o in found.outcomes] == [5, 7]

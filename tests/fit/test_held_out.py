@@ -1,4 +1,4 @@
-"""By what held-out recordings are predicted, and beside what they are judged."""
+"""By what held-out recordings are predicted, and what they are compared with."""
 
 from __future__ import annotations
 

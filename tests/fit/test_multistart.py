@@ -180,7 +180,7 @@ def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: 
 
 
 def with_discretisation_error(wrong: Problem) -> Problem:
-    """The same beside an error of mesh and time step that is none."""
+    """The same with an error of mesh and time step that is none."""
     none = ErrorShape("mesh", ({"gauge": np.zeros((len(T), 1))},))
     return Problem(wrong.runs, wrong.noise, wrong.engine, [none])
 

@@ -32,7 +32,7 @@ EXPERIMENT = Experiment.model_validate(
 
 @pytest.fixture(scope="module")
 def stored():
-    """Rollouts beside the one that is differentiated, by what they are of."""
+    """Rollouts other than the one that is differentiated, by what they are of."""
     return {}
 
 
@@ -224,7 +224,7 @@ def test_a_start_that_has_yielded_is_not_judged(small_rig):
 
 
 def test_poses_are_moved_where_they_truly_are(small_rig):
-    """An end effector that is offset: told poses are elsewhere than true ones, and turned."""
+    """An end effector that is offset: nominal poses are elsewhere than true ones, and turned."""
     rig = with_parameters(small_rig(), {"finger.offset_rz_deg": 30.0, "finger.offset_x_m": 1e-3})
     passed, rows = check(rig, ["poses"])
     assert passed and max(r["best"] for r in rows) < 1e-5
@@ -370,7 +370,7 @@ def test_rows_that_are_not_judged_are_counted_by_their_reasons():
     closing = _as_text(rows, (1e-3,)).splitlines()[-1]
     assert closing.startswith("1 of 1 judged rows agree")
     assert closing.endswith(
-        "Not judged: 7 of 8 rows (2 without effect, 1 of negligible effect, 3 hidden by round-off, 1 beside a jump)."
+        "Not judged: 7 of 8 rows (2 without effect, 1 of negligible effect, 3 hidden by round-off, 1 next to a jump)."
     )
     nothing = _as_text(rows[1:3], (1e-3,)).splitlines()[-1]
     assert nothing.startswith("Not judged: 2 of 2 rows (2 without effect). Nothing could be judged")

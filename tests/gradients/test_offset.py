@@ -112,7 +112,7 @@ def test_forward_against_differences_through_contact(small_rig, visit):
 
 
 def test_forward_against_differences_of_a_rigid_body():
-    """While the card rubs on the ball, as it does near the poses that are told: its torque tells of turns."""
+    """While the card rubs on the ball, as it does near the nominal poses: its torque tells of turns."""
     rig, poses, times = ball()
     scene = build_scene(off(rig, LITTLE))
     assert np.abs(simulate(scene, poses, times).outputs["wrench"][:, 3:]).max() > 1e-5

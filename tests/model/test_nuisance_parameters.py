@@ -1,4 +1,4 @@
-"""What nobody tells is estimated beside the parameters: offsets in time, untared wrenches, cameras that are off."""
+"""Nuisances are estimated with the parameters: offsets in time, untared wrenches, cameras that are off."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_a_gauge_along_one_axis_has_one_bias(stubs: None) -> None:
 
 
 def test_what_only_a_bias_hides_is_said(stubs: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A weight that never changes cannot be told from a bias of the sensor that carries it."""
+    """A weight that never changes cannot be separated from a bias of the sensor that carries it."""
     constant = SLOPES.copy()
     constant[:, :, 1] = constant[-1, :, 1]
     monkeypatch.setitem(globals(), "SLOPES", constant)
@@ -332,8 +332,8 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
 def test_kinds_are_checked() -> None:
     assert checked_kinds(["all"]) == set(KINDS) and checked_kinds(["none"]) == set()
     assert checked_kinds(["time", "bias"]) == {"time", "bias"}
-    assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated unless told otherwise"
-    for wrong, said in ((["tine"], "no nuisance 'tine'"), (["none", "time"], "'none' stands beside others")):
+    assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated by default"
+    for wrong, said in ((["tine"], "no nuisance 'tine'"), (["none", "time"], "'none' stands with others")):
         with pytest.raises(ConfigError, match=said):
             checked_kinds(wrong)
 

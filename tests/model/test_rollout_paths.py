@@ -1,4 +1,4 @@
-"""Which rollouts begin their steps beside which."""
+"""Which rollouts are warm-started from which."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def rig() -> Rig:
 
 
 class Rollouts:
-    """Rollouts that are done at once; ``asked``: for each, whether it keeps its path, and beside which it is."""
+    """Rollouts that are done at once; ``asked``: for each, whether it keeps its path, and which path it starts from."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[bool, NodePath | None]] = []

@@ -26,7 +26,8 @@ STAMPS = np.linspace(0.02, BEND_S, 15)
 
 
 def strip(others=None, **effects):
-    """A strip that two hands hold by its ends, upright so that its weight does not bend it; bodies ``beside`` it."""
+    """A strip that two hands hold by its ends, upright so that its weight does not bend it; with ``others`` next to
+    it."""
     ends = {"left": [-0.05, -0.04], "right": [0.04, 0.05]}
     return parse_rig(
         {
@@ -114,7 +115,7 @@ def test_a_recording_after_another_is_as_if_it_had_not_stopped_between(effects):
 
 
 def test_a_set_goes_along_with_hands_that_begin_elsewhere():
-    """The wrench is told in the hand's frame; weight is along the strip's width, about which hands turn."""
+    """The wrench is measured in the hand's frame; weight is along the strip's width, about which hands turn."""
     rig, predictor = strip(**YIELDS), SerialPredictor()
     expected = predictor.predict(rig, in_turn()[1]).values["wrist"]
     found = predictor.predict(rig, in_turn(turned=2.5)[1]).values["wrist"]
@@ -131,7 +132,7 @@ LOOSE = {
 
 @pytest.mark.parametrize(("effects", "others"), [(YIELDS, {}), (RUBS, {}), (YIELDS, {"loose": LOOSE})])
 def test_derivatives_go_through_recordings_before(effects, others):
-    """Also beside a body that nothing holds, with which nothing settles."""
+    """Also with a body that nothing holds, with which nothing settles."""
     rig, predictor = strip(others, **effects), SerialPredictor()
     _, weak = in_turn()
     ((name, numbers),) = effects.items()

@@ -83,7 +83,9 @@ def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session
         assert np.array_equal(m.values[inside], n.values, equal_nan=True)
         strongest = np.nanmax(np.abs(there[m.channel] - there[m.channel][0]))
         assert np.nanmax(np.abs(there[m.channel][inside] - here[n.channel])) < 2e-3 * strongest
-    assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), "the others are told once"
+    assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), (
+        "the others are reported once"
+    )
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""A shaking camera moves all markers together: it is told from their own noise, and does not count for each of them."""
+"""A shaking camera moves all markers together: it is separated from their own noise, and does not count for each of
+them."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_readings_far_apart_do_not_tell_their_noise(pause: float, source: str) -
 
 
 def test_held_out_recordings_tell_the_noise_only_of_channels_that_they_alone_have() -> None:
-    """The held-out recording is ten times noisier, and has a camera beside."""
+    """The held-out recording is ten times noisier, and has a camera in addition."""
     rig, rng = load_rig("card_press"), np.random.default_rng(1)
     t = np.arange(300) / 30.0
     quiet_one, noisy = (

@@ -161,7 +161,7 @@ def test_a_pose_that_freezes_stops_a_fit_where_sensors_go_on(tmp_path: Path) -> 
 
 
 def test_positions_in_another_unit_are_found_wherever_a_motion_begins(tmp_path: Path) -> None:
-    """Elsewhere than the rig's start in any unit, so that it cannot be told which: no motion is larger than the rig."""
+    """Elsewhere than the rig's start in any unit, so that it remains open which: no motion is larger than the rig."""
     recording = press()
     recording.pose.position = (recording.pose.position + [0.05, -0.04, 0.02]) / 0.0254
     (found,) = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
@@ -190,7 +190,7 @@ def test_a_component_that_nothing_measures_is_left_out(tmp_path: Path) -> None:
 
 
 def test_torques_in_another_unit_are_found_by_their_noise(tmp_path: Path) -> None:
-    """Where the lever arm is short enough to be believed."""
+    """Where the lever arm is short enough to be plausible."""
     recording = press()
     force = recording.wrench.values[:, :3]
     noise = 1e-5 * np.random.default_rng(4).standard_normal(force.shape)

@@ -85,7 +85,7 @@ def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
     monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error, 1, plain))
     looked = fitted_with(robust=True)
-    assert "it was not repeated without the readings that are mistakes beside it" in looked.message
+    assert "it was not repeated without its outliers" in looked.message
     monkeypatch.setattr(fit, "_profiled", lambda problem, fitted, findings, *given: ([], findings, fitted.scaled))
     monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error, 1, plain))
     further = fitted_with(robust=False)

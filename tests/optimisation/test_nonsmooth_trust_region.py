@@ -41,7 +41,7 @@ def curved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sharp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A stiffness beside an offset across whose kink every marker is missed by more; least at (1.5, 0).
+    """A stiffness and an offset across whose kink every marker is missed by more; least at (1.5, 0).
 
     What one side says of the offset is that the other one is better."""
     side = 1.0 if x[1] >= 0.0 else -1.0

@@ -57,7 +57,7 @@ def test_jumps_are_found_one_by_one(share: float) -> None:
 
 def test_mistakes_in_a_shaking_picture_are_found_to_its_last_frame() -> None:
     """All markers of a picture move together, by up to six times the noise of one in the last frame, which has no later
-    one beside it."""
+    neighbour."""
     shake = 2.0 * SIGMA * np.sin(9.0 * T + np.array([[0.0], [1.0]])).T[:, None]
     shake[-1] += 6.0 * SIGMA
     miss = jumps(0.03, 5.0)

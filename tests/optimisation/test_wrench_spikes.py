@@ -36,7 +36,7 @@ def test_clean_readings_lose_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [40.0, 100.0, 1e4])
-@pytest.mark.parametrize("astray", [0.0, 0.3], ids=["beside a good model", "beside one that is off"])
+@pytest.mark.parametrize("astray", [0.0, 0.3], ids=["a good model", "a model that is off"])
 def test_glitches_are_found_in_their_component(size: float, astray: float) -> None:
     miss = astray * SMOOTH
     true = np.zeros((N, 6), dtype=bool)

@@ -1,4 +1,4 @@
-"""Rigs and motions that are made wrong on purpose are told, each for what it is; those that ship are not."""
+"""Rigs and motions that are made wrong on purpose are reported, each for what it is; those that ship are not."""
 
 from __future__ import annotations
 

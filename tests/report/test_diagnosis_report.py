@@ -109,7 +109,7 @@ def test_no_held_out_data(tmp_path: Path) -> None:
     assert "No recording was held out" in page.words
 
 
-def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
+def test_verdicts_and_rivals_may_share_a_name(tmp_path: Path) -> None:
     twin = replace(compliance(0.2), place="left finger")
     d = make_diagnosis("one_of", effects=(compliance(0.5), twin), alternatives=(plasticity(0.3), twin), series=[])
     page = diagnosis_page(tmp_path, d)

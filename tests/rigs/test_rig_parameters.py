@@ -75,7 +75,7 @@ def test_an_unknown_name_is_answered_with_the_nearest(written: str, remedy: str)
     ],
 )
 def test_offsets_name_the_frame_that_they_are_measured_in(owner: str, frame: str) -> None:
-    """There the true pose is: shifted along, and then turned about, the axes of the pose that is told."""
+    """There the true pose is: shifted along, and then turned about, the axes of the nominal pose."""
     descriptions = {p.name: p.description for p in list_parameters(RIG)}
     for axis in "xyz":
         assert descriptions[f"{owner}.offset_{axis}_m"] == f"shift of the true pose along {axis} {frame}"

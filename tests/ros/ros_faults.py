@@ -52,7 +52,7 @@ GIVEN = {
 }  # fmt: skip
 
 SIGNALS = {"sigint": signal.SIGINT, "sigterm": signal.SIGTERM, "sigkill": signal.SIGKILL}
-ENDED = r"the node was told to end"
+ENDED = r"the node was asked to end"
 KINDS = {
     **{kind: CAUSES.get(kind, "") for kind in FAULTS if kind not in ("clock_jump", "loop_stall", "commander_killed")},
     "pose_late": r"last reading of the pose of hand|stamp of the pose of hand|follows its commands",

@@ -20,7 +20,7 @@ COMPLIANCE = "\n  end_effector_compliance: {compliance_m_per_n: 0.05}"
 
 
 def task_file(folder: Path) -> Path:
-    """The small task with a rig that has a sensor, at rest in each step; beside it that of the robot."""
+    """The small task with a rig that has a sensor, at rest in each step; next to it that of the robot."""
     plain = RIG.replace("inertia: true", "inertia: false").replace("friction: 0.4", "friction: 0.05")
     (folder / "rig.yaml").write_text(plain + SENSORS)
     (folder / "robot.yaml").write_text(plain.replace("\neffects:", f"\neffects:{COMPLIANCE}") + SENSORS)

@@ -85,7 +85,7 @@ def test_what_lasts_less_than_the_time_between_two_reports_is_in_one_of_them() -
         arriving.put((0.0, status))
     assert [answer for _, answer in supervisor.responses()] == [hasty, calm]
     assert supervisor.review() == Status(False, "", 2.0, 0.9, 22, 9, 1e-5, 1, -1e-4, 3, 0.0, 0.5, 0.7)
-    assert supervisor.review() == calm, "told once"
+    assert supervisor.review() == calm, "reported once"
 
 
 def test_a_fault_that_stays_is_reported_from_time_to_time() -> None:

@@ -1,4 +1,4 @@
-"""The loop around the physics: requests, answers, time. Needs no ROS."""
+"""The loop around the physics: requests, responses, time. Needs no ROS."""
 
 import multiprocessing
 import threading
@@ -31,7 +31,7 @@ class FakeReport:
 
 @dataclass
 class FakePhysics:
-    """Steps of 10 ms that cost ``cost_s``; fails when told."""
+    """Steps of 10 ms that cost ``cost_s``; fails on demand."""
 
     dt: float = 0.01
     failure: Any = None
@@ -83,7 +83,7 @@ class Bench:
         raise AssertionError("the answer did not come")
 
     def drain(self, seconds: float) -> list[Any]:
-        """All answers of some time."""
+        """All responses of some time."""
         end, responses = time.monotonic() + seconds, []
         while (left := end - time.monotonic()) > 0.0:
             if self.link.poll(left):

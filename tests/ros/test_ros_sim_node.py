@@ -191,7 +191,7 @@ def test_pause_stops_time(client: Client) -> None:
     assert client.call(SetBool, "thinshell_sim/pause", SetBool.Request(data=False)).message == "running"
     client.wait(lambda: len(client.heard[WRENCH]) > before + 10, "it does not go on")
     assert time.time_ns() - stamps_ns(client.heard[WRENCH])[-1] < 60e9, "stamps are the wall clock's again"
-    client.wait(lambda: "skip" in event_names(client), "the pause is not told")
+    client.wait(lambda: "skip" in event_names(client), "the pause is not reported")
 
 
 def test_a_rig_that_is_not_there_is_said_with_code_2(ros: None, tmp_path: Path) -> None:

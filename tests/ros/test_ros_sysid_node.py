@@ -101,7 +101,7 @@ def node(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodePr
 
 @pytest.fixture
 def fitter(node: NodeProcess, bag: Path, tmp_path: Path) -> Iterator[Fitter]:
-    """A client of a node that is told to fit the pull."""
+    """A client of a node that is asked to fit the pull."""
     fitter = Fitter("fitter", str(bag))
     fitter.set(
         bag_uri=str(bag), held_out_uri="", output_dir=str(tmp_path / "fits"), fit__parameters=["strip.E"],

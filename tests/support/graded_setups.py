@@ -11,8 +11,8 @@ prints a line for each mistake, and a table of kinds by outcomes:
 - ``other``: something else is named; ``silent``: nothing is;
 - ``no effect``: readings and predictions are changed by less than their noise, whatever the check says.
 
-Whether a mistake has an effect is told from the sound recording and the truth, without the check: readings by what they
-differ, poses by a rollout along the wrong ones and one along the right ones.
+Whether a mistake has an effect is computed from the sound recording and the truth, without the check: readings by what
+they differ, poses by a rollout along the wrong ones and one along the right ones.
 """
 
 from __future__ import annotations

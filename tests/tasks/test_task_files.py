@@ -1,4 +1,4 @@
-"""Task files: those of the package load, and mistakes in others are told with key and remedy."""
+"""Task files: those of the package load, and mistakes in others are reported with key and remedy."""
 
 from __future__ import annotations
 

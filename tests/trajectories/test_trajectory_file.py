@@ -1,4 +1,4 @@
-"""Trajectory files: what is written is read back, and what is no trajectory is told so."""
+"""Trajectory files: what is written is read back, and what is no trajectory is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""More than noise in one quantity is told, and offsets of end effectors are looked for elsewhere, only then."""
+"""More than noise in one quantity is reported, and offsets of end effectors are looked for elsewhere, only then."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_an_interruption_while_offsets_are_compared_keeps_the_best(
 
 
 def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, Fitted]:
-    """Readings that are so many standard deviations of the noise off, beside a model that reads nothing."""
+    """Readings that are so many standard deviations of the noise off, against a model that reads nothing."""
     rng = np.random.default_rng(5)
     values = rng.standard_normal((samples, 6)) * np.repeat([0.2, 0.01], 3)
     values *= np.repeat([forces, torques], 3)
@@ -203,7 +203,7 @@ def test_readings_that_are_few_in_each_recording_are_judged_together() -> None:
 def test_a_minimum_that_is_better_in_one_quantity_is_kept_however_many_others_there_are(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """900 columns of markers beside one reading that tells the two sides apart: the sum falls by less than 2 %."""
+    """900 columns of markers next to one reading that tells the two sides apart: the sum falls by less than 2 %."""
     plain = Folded.predict_all, Folded.submit
     rng = np.random.default_rng(3)
     many = SIGMA * rng.standard_normal((len(T), 900))

@@ -22,7 +22,7 @@ from sysid.settings.fit import FIT
 HIDDEN = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
 
 MOST_GROWTH = 1.25
-"""How much wider the intervals of a clean recording may be for what is estimated beside the parameters."""
+"""How much wider the intervals of a clean recording may be for what is estimated with the parameters."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_what_nobody_measured_does_not_fool_a_fit(small_rig: Any, dirty: Run, tm
     assert [e["name"] for e in json.loads(json.dumps(result.to_json()))["nuisances"]] == list(found)
     assert "markers.latency_s" in result.table() and result.remarks[0] in result.table()
     page = write_fit_report(result, tmp_path / "report.html").read_text()
-    assert "Estimated beside them" in page and "wrench force x bias" in page
+    assert "Estimated with them" in page and "wrench force x bias" in page
 
 
 @pytest.mark.slow
@@ -92,8 +92,8 @@ def test_where_nothing_moves_clocks_stay_at_their_prior(small_rig: Any, tmp_path
 
 @pytest.mark.slow
 def test_a_clean_recording_loses_little(small_rig: Any, clean: Run) -> None:
-    """Intervals grow by a quarter at most where poses are known, and evaluations of the rig by half; beside looks along
-    profiles, which may lead to the other side of a kink."""
+    """Intervals grow by a quarter at most where poses are known, and evaluations of the rig by half; apart from
+    evaluations along profiles, which may lead to the other side of a kink."""
     asked, plain = (
         fitted(small_rig(), clean, kinds, "quadratic")[0] for kinds in (("time", "bias", "camera"), ("none",))
     )

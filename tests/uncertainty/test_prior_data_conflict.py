@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("vectors")
 
 
 def fitted_with(known: float, sd: float, rng: np.random.Generator, nuisance: bool = False) -> Fitted:
-    """The linear model, fitted beside a = ``known`` +- ``sd``."""
+    """The linear model, fitted with the prior a = ``known`` +- ``sd``."""
     values = coarse(TRUTH) + SIGMA * rng.standard_normal((len(T), 2))
     problem = Problem([run_of(values)], NOISE, cast(ParallelPredictor, Linear()))
     first = replace(PARAMETERS[0], known_sd=sd, nuisance=nuisance)
@@ -31,7 +31,7 @@ def fitted_with(known: float, sd: float, rng: np.random.Generator, nuisance: boo
 
 
 def deviations(fitted: Fitted) -> float:
-    """Those that are told of a."""
+    """Those that are reported of a."""
     return float(re.search(r"value, ([\d.e+]+) standard", prior_data_conflicts(fitted)["a"])[1])  # type: ignore[index]
 
 
@@ -81,7 +81,7 @@ def test_a_bound_does_not_hide_what_is_contradicted(lower: float) -> None:
 
 
 def test_recordings_that_are_missed_by_far_are_not_said_to_determine_nothing() -> None:
-    """Beside a prior, and a misfit that no parameter explains."""
+    """With a prior, and a misfit that no parameter explains."""
     noise = {"gauge": NOISE["gauge"]}
     values = coarse(TRUTH) + 20.0 * SIGMA * np.random.default_rng(1).standard_normal((len(T), 2))
     problem = Problem([run_of(values)], noise, cast(ParallelPredictor, Linear()))

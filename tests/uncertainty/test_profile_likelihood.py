@@ -392,7 +392,7 @@ def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) ->
 
 
 def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
-    """Of a product: beside a factor that is far off the other goes too far at first, and is right only then."""
+    """Of a product: with a factor that is far off the other goes too far at first, and is right only then."""
     problem, _ = fitted_to(lambda a, b: a * b * np.sin(3.0 * T), (1.0, 1.0))
     there = problem.evaluate(cast(Any, None), parameters(-100.0, 100.0), np.array([0.05, 0.05]))
     profiler = Profiler(problem, there)

@@ -1,4 +1,4 @@
-"""A disc of fabric over a round table: the answers, by another method, and the simulator."""
+"""A disc of fabric over a round table: the reference, by another method, and the simulator."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
-"""A bag that is recorded beside the control loop: by ``record_node`` in a process of its own, which costs the loop no
-time and ends when the node that replays does."""
+"""A bag that is recorded in parallel to the control loop: by ``record_node`` in a process of its own, which costs the
+loop no time and ends when the node that replays does."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Recording:
 
 
 def record(words: list[str]) -> None:
-    """What the process does: record until it is told to end, or the process that started it is no more."""
+    """What the process does: record until it is asked to end, or the process that started it is no more."""
     from thinshell_ros import record_node
 
     parent = multiprocessing.parent_process()

@@ -41,7 +41,7 @@ class Track:
     """The commands and the measured poses of one end effector, all times [s] of one clock."""
 
     def __init__(self, name: str, follows: Follows, keep_s: float = 5.0) -> None:
-        """``keep_s``: how far back a lag can be told."""
+        """``keep_s``: how far back a lag can be measured."""
         self._name, self.follows = name, follows
         self._keep = max(keep_s, 2.0 * follows.lag_s)
         self._commands: deque[tuple[float, Placed]] = deque()

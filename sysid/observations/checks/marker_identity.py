@@ -111,7 +111,7 @@ def _taken(before: np.ndarray, now: np.ndarray, spacing: float) -> dict[int, int
     jumped = np.flatnonzero(np.nan_to_num(step) > OBSERVATIONS.exchanged_jump_share * spacing)
     if len(jumped) < 2:
         return {}
-    # What all do is motion: a jump is beside how the others move.
+    # What all do is motion: a jump is relative to the median of the others.
     there = np.isfinite(step)
     common = np.median((now - before)[there], axis=0)
     deviation = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)

@@ -84,7 +84,7 @@ def single(values: np.ndarray, size: int, least: float | np.ndarray) -> np.ndarr
 
 
 def _height(values: np.ndarray) -> np.ndarray:
-    """Distance from the middle of the neighbours ``(n, c)``, 0 at the ends, NaN beside what is missing."""
+    """Distance from the middle of the neighbours ``(n, c)``, 0 at the ends, NaN next to what is missing."""
     height = np.zeros(values.shape)
     height[1:-1] = np.abs(values[1:-1] - 0.5 * (values[2:] + values[:-2]))
     return height
