@@ -155,7 +155,7 @@ class Basis:
         away = np.clip(scaled[: len(self.at)] - self.at, -self.reach, self.reach)
         return np.asarray(self.expected + self.slopes @ away)
 
-    def follows(self, scaled: np.ndarray) -> np.ndarray:
+    def in_reach(self, scaled: np.ndarray) -> np.ndarray:
         """1 for each parameter of ``slopes`` with which the expected error changes at scaled parameters, 0 beyond its
         reach ``(p,)``."""
         return np.asarray((np.abs(scaled[: len(self.at)] - self.at) <= self.reach).astype(float))

@@ -60,7 +60,7 @@ class Elimination:
 
     def slopes(self, scaled: np.ndarray) -> np.ndarray:
         """Derivatives of the expected error by the first parameters at scaled ones, whitened ``(n, m, p)``."""
-        return np.asarray(self._slopes * self._basis.follows(scaled))
+        return np.asarray(self._slopes * self._basis.in_reach(scaled))
 
     def suits(self, good: np.ndarray) -> bool:
         """The same samples count."""

@@ -147,7 +147,7 @@ def test_slopes_are_used_near_where_they_were_measured() -> None:
     near, far = TRUTH + [0.05, -0.1], TRUTH + [0.05, -9.0]
     assert basis.mean_error(near)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.1)))
     assert basis.mean_error(far)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.2)))
-    assert basis.follows(near).tolist() == [1.0, 1.0] and basis.follows(far).tolist() == [1.0, 0.0]
+    assert basis.in_reach(near).tolist() == [1.0, 1.0] and basis.in_reach(far).tolist() == [1.0, 0.0]
 
 
 def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mistaken_setups import Made, makers
+from mistaken_setups import MistakenRecording, makers
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, load_rig
@@ -87,7 +87,7 @@ class Graded:
     :data:`INSTANTS`, of the quantity that it changes most; ``said``: in one sentence."""
 
     rig: str
-    made: Made
+    made: MistakenRecording
     outcome: str
     effect: float
     said: str
@@ -130,7 +130,7 @@ def judged(rig: Rig, recording: Recording, path: Path) -> tuple[tuple[Finding, .
         return findings, None, None
 
 
-def graded(setup: Setup, made: Made) -> Graded:
+def graded(setup: Setup, made: MistakenRecording) -> Graded:
     """What the check says of a mistake."""
 
     def grade(outcome: str, said: str = "", effect: float = np.inf) -> Graded:
