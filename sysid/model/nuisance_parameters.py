@@ -1,4 +1,4 @@
-"""What every recording has and nobody tells: clocks, untared force sensors, cameras and end effectors slightly off.
+"""Nuisance parameters of every recording: clocks, untared force sensors, cameras and end effectors slightly off.
 
 A fit estimates these nuisances jointly with the parameters that it is asked for. Each has a prior about the value of
 the rig, as wide as such things are off in a laboratory, so that data which do not tell leave it where it is:

@@ -1,4 +1,4 @@
-"""A recording with everything that nobody tells gives back what is in it, and a clean one loses little."""
+"""A recording with all nuisances gives back what is in it, and a clean one loses little."""
 
 from __future__ import annotations
 
