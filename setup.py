@@ -1,7 +1,7 @@
 """What a colcon build needs: version, packages, executables, and files under share/.
 
 The rest is in pyproject.toml. These parts are here because ``colcon build --symlink-install`` runs this
-file without pyproject.toml beside it, and because colcon cannot read a package whose pyproject.toml
+file without pyproject.toml next to it, and because colcon cannot read a package whose pyproject.toml
 gives ``requires-python``.
 """
 
@@ -55,8 +55,8 @@ def compile_laws(base: Path) -> None:
 
 
 class BuildWithCore(build_py):
-    """Builds the modules, and the compiled core beside them (in place where the package is installed for editing, where
-    laws of effects are compiled at first use)."""
+    """Builds the modules, and the compiled core next to them (in place where the package is installed for editing,
+    where laws of effects are compiled at first use)."""
 
     def run(self) -> None:
         super().run()

@@ -52,7 +52,7 @@ class PermanentState:
 
 def lasting(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Names of the internal variables that last, by term; terms without any are left out, and so are those of bodies
-    that nothing holds: nobody tells where and how these lie when the next rollout begins."""
+    that nothing holds: where and how these lie when the next rollout begins is unknown."""
     named = {term.name: getattr(term, "lasting", ()) if _held(scene, term.name) else () for term in scene.system.terms}
     virgin = {term.name: term.initial_internals() for term in scene.system.terms if named[term.name]}
     kept = {term: tuple(name for name in named[term] if name in own) for term, own in virgin.items()}

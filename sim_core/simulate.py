@@ -39,14 +39,14 @@ def simulate(
     *,
     keep_states: bool = False,
     keep_path: bool = False,
-    beside: NodePath | None = None,
+    warm_start: NodePath | None = None,
     left: PermanentState | None = None,
 ) -> Trace:
     """Drive the scene along ``poses`` (by end effector) and read every channel at ``times`` [s] ``(n,)``.
 
     ``on_step(done, total)`` is called after each step. ``keep_states``: the trace has :attr:`Trace.states`, which take
     48 bytes a node and instant and 24 more for each declared contact, ``keep_path``: :attr:`Trace.path` alone, 24 bytes
-    a node and instant. ``beside``: the path of a rollout near by, from which steps begin. ``left``: what an earlier
+    a node and instant. ``warm_start``: the path of a similar rollout, from which steps begin. ``left``: what an earlier
     rollout has left of the bodies. Raises ``ConvergenceError`` when a step does not converge even in small parts.
     """
     rollout = CoreRollout(scene, poses, times, settings or NewtonSettings(), keep_states=keep_states)
@@ -60,7 +60,7 @@ def simulate(
         tell(scene, rollout, chunk, on_step)
 
     take(rollout.settle(left=left))
-    for chunk in rollout.run(beside):
+    for chunk in rollout.run(warm_start):
         take(chunk)
     return trace_of(rollout, {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}, path)
 

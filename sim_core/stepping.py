@@ -53,7 +53,7 @@ class Simulation:
         self.reset()
 
     def reset(self, frames: Mapping[str, Frame] | None = None) -> None:
-        """Back to the start poses (or ``frames``, as told): at rest, in equilibrium when everything is held, or in the
+        """Back to the start poses (or nominal ``frames``): at rest, in equilibrium when everything is held, or in the
         state :attr:`begin`."""
         self._check_scene()
         self.halvings = 0
@@ -76,7 +76,7 @@ class Simulation:
         self._steps.renew()
 
     def step(self, frames: Mapping[str, Frame], dt: float) -> StepReport:
-        """Move the mounts to ``frames``, as told, within ``dt`` [s]; the step is halved where it does not converge.
+        """Move the mounts to nominal ``frames`` within ``dt`` [s]; the step is halved where it does not converge.
 
         Raises:
             ConvergenceError: no part of the step was found; the state is that before.

@@ -17,8 +17,9 @@ _own = threading.local()
 
 @contextmanager
 def worker_threads(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """Threads for work side by side. When the block is left, what is pending is cancelled and what runs is told to end,
-    and is waited for. Linear algebra has one thread within the block: more would take the cores from the workers."""
+    """Threads for work side by side. When the block is left, what is pending is cancelled and what runs is asked to
+    end, and is waited for. Linear algebra has one thread within the block: more would take the cores from the
+    workers."""
     unwanted = threading.Event()
     pool = ThreadPoolExecutor(workers, "worker", _serve, (unwanted,))
     try:

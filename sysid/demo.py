@@ -1,4 +1,4 @@
-"""The demonstration behind ``make demo``: find out what a rig leaves out, and be told whether that is right.
+"""The demonstration behind ``make demo``: find out what a rig leaves out, and compare with the truth.
 
 A gel finger presses on a block. Its gel is softer than the rig says, and something else, drawn from a few effects, acts
 on the recordings, of which the rig knows nothing. What that is, is sealed: its digest is printed before anything is
@@ -102,7 +102,7 @@ def _found(diagnosis: Diagnosis) -> str:
 
 
 def _unsealed(truth: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """What was concealed, beside what was found."""
+    """What was concealed, next to what was found."""
     found = {p.name: p for p in diagnosis.amended_parameters or diagnosis.baseline_parameters}
     lines = ["", f"{'unsealed':<34}{'true':>12}{'found':>12}  true value in the 95 % interval"]
     numbers = dict(truth["materials"])
@@ -110,8 +110,10 @@ def _unsealed(truth: dict[str, Any], diagnosis: Diagnosis) -> str:
         numbers |= {f"effects.{name}.{key}": value for key, value in values.items()}
     for name, value in numbers.items():
         p = found.get(name)
-        told = f"{p.value:>12.4g}  {'yes' if p.ci95[0] <= value <= p.ci95[1] else 'no'}" if p else f"{'not found':>12}"
-        lines.append(f"{name:<34}{value:>12.4g}{told}")
+        in_words = (
+            f"{p.value:>12.4g}  {'yes' if p.ci95[0] <= value <= p.ci95[1] else 'no'}" if p else f"{'not found':>12}"
+        )
+        lines.append(f"{name:<34}{value:>12.4g}{in_words}")
     return "\n".join(lines)
 
 

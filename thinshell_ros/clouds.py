@@ -54,7 +54,7 @@ def marker_positions(
     data: bytes, point_step: int, layout: Mapping[str, tuple[int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Ids ``(m,)`` and positions [m] ``(m, 3)`` of the markers in the data of a cloud. ``layout``: offset and type of
-    each field; a cloud without x, y, z and id, or of other types, has no markers that could be told apart."""
+    each field; a cloud without x, y, z and id, or of other types, has no markers that could be identified."""
     wanted = {"x": 7, "y": 7, "z": 7, "id": 6}
     fits = point_step > 0 and len(data) % point_step == 0
     if not fits or any(layout.get(name, (0, 0))[1] != kind for name, kind in wanted.items()):

@@ -167,7 +167,7 @@ class FitProcess:
     def stop(self) -> Succeeded | None:
         """End the process and all that it started, and remove what is not finished.
 
-        If it had not told its end: what it would have told if all was written before it ended.
+        If it had not reported its end: what it would have reported if all was written before it ended.
         """
         if self._link.closed:
             return None
@@ -179,8 +179,8 @@ class FitProcess:
         self._process.kill()
         self._process.join()
         self._link.close()
-        told, self._over = self._over, True
-        if told:
+        was_over, self._over = self._over, True
+        if was_over:
             return None  # it has cleared up itself, or said where it left what is finished
         if self._request.out.exists():
             return _succeeded(self._request)

@@ -32,7 +32,7 @@ class FitState:
     kind: Literal["fit", "diagnosis"] = "fit"
 
     def take(self, event: Event, request: Request) -> None:
-        """Take in what the process told."""
+        """Take in what the process reported."""
         if isinstance(event, Share):
             self.share, self.doing = event.share, event.words
         elif isinstance(event, Step):

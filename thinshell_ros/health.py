@@ -22,7 +22,7 @@ SILENT_S = 1.0
 """A step that takes longer than this [s] is worth a warning."""
 
 REPEAT_S = 30.0
-"""Time [s] after which a fault that stays is told in the log again."""
+"""Time [s] after which a fault that stays is logged again."""
 
 BEHIND_M = 1e-3
 BEHIND_RAD = 0.01
@@ -43,14 +43,14 @@ class Announcer:
     """Which reports are worth a line of the log: a level that changes at once, one that stays from time to time."""
 
     def __init__(self) -> None:
-        self._told: dict[str, tuple[Level, float]] = {}
+        self._reported: dict[str, tuple[Level, float]] = {}
 
     def is_news(self, report: Report, now_s: float) -> bool:
         """Whether to tell a report at wall time ``now_s`` [s]."""
-        level, at = self._told.get(report.name, ("ok", -math.inf))
+        level, at = self._reported.get(report.name, ("ok", -math.inf))
         news = report.level != level or (report.level != "ok" and now_s - at > REPEAT_S)
         if news:
-            self._told[report.name] = report.level, now_s
+            self._reported[report.name] = report.level, now_s
         return news
 
 

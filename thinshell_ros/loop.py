@@ -1,4 +1,4 @@
-"""The physics process: requests in, answers out, and steps in between, in pace with the wall clock. No ROS."""
+"""The physics process: requests in, responses out, and steps in between, in pace with the wall clock. No ROS."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ class Loop:
         self._reports: list[StepReport] = []
         self._not_finite = 0
         self._behind = (0.0, 0.0)
-        self._told = -float("inf")
+        self._reported_at = -float("inf")
 
     def run(self) -> None:
-        """Go on until told to stop. Raises EOFError or OSError when the other side is gone."""
+        """Go on until a request to stop. Raises EOFError or OSError when the other side is gone."""
         self._link.send(Ready(self._physics.ids, self._physics.rest))
         self._pacer.start(self._clock(), self._physics.time)
         while self._running:
@@ -83,10 +83,10 @@ class Loop:
             readings, report, bad = self._physics.step()
         except ThinshellError as error:
             self._stuck, self._retry_at = str(error), self._clock() + RETRY_S
-            self._told = -float("inf")
+            self._reported_at = -float("inf")
             return False
         if self._trouble() != trouble:
-            self._told = -float("inf")
+            self._reported_at = -float("inf")
         self._reports.append(report)
         self._not_finite += bad
         away, turned = self._physics.behind
@@ -116,7 +116,7 @@ class Loop:
                 self._stuck = ""
                 self._go_on()
             return
-        self._told = -float("inf")
+        self._reported_at = -float("inf")
         if isinstance(request, Stop):
             self._running = False
         elif isinstance(request, Pause):
@@ -170,9 +170,9 @@ class Loop:
         self._go_on()
 
     def _tell(self) -> None:
-        if self._clock() - self._told < STATUS_PERIOD_S:
+        if self._clock() - self._reported_at < STATUS_PERIOD_S:
             return
-        self._told = self._clock()
+        self._reported_at = self._clock()
         reports, self._reports = self._reports, []
         bad, self._not_finite = self._not_finite, 0
         behind, self._behind = self._behind, (0.0, 0.0)
@@ -208,7 +208,7 @@ def end_with_parent() -> None:
 
 
 def run(link: Connection, settings: Settings) -> None:
-    """Body of the process: build, step, answer. Ends when told, or when the other side is gone."""
+    """Body of the process: build, step, answer. Ends on request, or when the other side is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node says when to stop
     end_with_parent()
     try:

@@ -44,10 +44,10 @@ def measure(shown: list[np.ndarray], rate_hz: float, seconds: float) -> dict[str
 
     from thinshell_ros import messages
 
-    told: list[Any] = []
+    received: list[Any] = []
     node = rclpy.create_node("marker_bench")
     publisher = node.create_publisher(Image, "image", 1)
-    node.create_subscription(DiagnosticArray, "/diagnostics", told.append, 10)
+    node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
     command = [sys.executable, "-m", "thinshell_ros.marker_node", "--ros-args", "-p", f"rest_images:={REST_IMAGES}"]
     process = subprocess.Popen(command)
     try:
@@ -64,7 +64,7 @@ def measure(shown: list[np.ndarray], rate_hz: float, seconds: float) -> dict[str
                 sent += 1
             rclpy.spin_once(node, timeout_sec=0.0005)
         rclpy.spin_once(node, timeout_sec=1.5)
-        values = {pair.key: pair.value for pair in told[-1].status[0].values}
+        values = {pair.key: pair.value for pair in received[-1].status[0].values}
         return values | {"sent": str(sent)}
     finally:
         process.terminate()

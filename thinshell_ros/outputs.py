@@ -17,7 +17,7 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 
 from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
-from thinshell_ros.pictures import Pictures
+from thinshell_ros.marker_images import MarkerImages
 from thinshell_ros.poses import Floats, Pose
 from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM, overridable
 from thinshell_ros.sampling import Reading
@@ -75,7 +75,7 @@ class Outputs:
         self._streams = {name: stream(_TYPES[c.kind], c.topic) for name, c in channels.items()}
         self._infos = {n: stream(CameraInfo, c.topics.camera_info) for n, c in self._cameras.items()}
         shown = self._cameras if pictures else {}
-        self._pictures = {n: Pictures(c, partial(stream, topic=c.topics.image)) for n, c in shown.items()}
+        self._pictures = {n: MarkerImages(c, partial(stream, topic=c.topics.image)) for n, c in shown.items()}
         self._rests = {
             name: node.create_publisher(PointCloud2, rest_topic(channel), LATCHED)
             for name, channel in channels.items()

@@ -137,10 +137,10 @@ class ReplayNode(ManagedNode, FinishingNode):
         self._status.publish(messages.status(name, hands, reports[0]))
         self._diagnostics.publish(messages.diagnostics(time.time_ns(), name, hands, reports))
 
-    def told_to_end(self) -> None:
+    def stop_requested(self) -> None:
         """Hold at once."""
         if self._deployment is not None:
-            self._deployment.abort("the node was told to end")
+            self._deployment.abort("the node was asked to end")
 
     def finish(self) -> int:
         """Finish the recording."""

@@ -49,10 +49,10 @@ def declare_all(node: Node) -> None:
     declare(node, "max_angular_jerk_rad_s3", 0.0, f"largest one; {none}", bounds=some, fixed=own)
     declare(node, "max_force_n", 0.0, f"largest force on a sensor; {none}", bounds=some, fixed=own)
     declare(node, "max_torque_nm", 0.0, f"largest torque on a sensor; {none}", bounds=some, fixed=own)
-    told = "0: as the trajectory says"
-    declare(node, "tracking_tolerance_m", 0.0, f"from the commanded path; {told}", bounds=(0.0, 1.0), fixed=own)
-    declare(node, "tracking_tolerance_rad", 0.0, f"likewise; {told}", bounds=(0.0, 3.0), fixed=own)
-    declare(node, "max_lag_s", 0.0, f"how far a robot may be behind; {told}", bounds=(0.0, 10.0), fixed=own)
+    default = "0: as the trajectory says"
+    declare(node, "tracking_tolerance_m", 0.0, f"from the commanded path; {default}", bounds=(0.0, 1.0), fixed=own)
+    declare(node, "tracking_tolerance_rad", 0.0, f"likewise; {default}", bounds=(0.0, 3.0), fixed=own)
+    declare(node, "max_lag_s", 0.0, f"how far a robot may be behind; {default}", bounds=(0.0, 10.0), fixed=own)
     declare(node, "guard_wrench", True, "refuse to move without a measured wrench", fixed=own)
     declare(node, "guard_markers", True, "refuse to move without the markers that are predicted", fixed=own)
     declare(node, "watch_aborts", False, "end a replay when readings part from the prediction", fixed=own)

@@ -16,11 +16,11 @@ from rclpy.utilities import ok, try_shutdown
 from sim_core.errors import ThinshellError
 
 DRAIN_S = 0.3
-"""Time [s] in which a node that has been told to end takes what has already arrived."""
+"""Time [s] in which a node that has been asked to end takes what has already arrived."""
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Spin a node until SIGINT, SIGTERM or shutdown: 0. A node that cannot be used as told: 2.
+    """Spin a node until SIGINT, SIGTERM or shutdown: 0. A node that cannot be used as configured: 2.
 
     A node joins what it started in its ``destroy_node``.
     """
@@ -49,9 +49,9 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
 
 
 class FinishingNode(Node):
-    """A node whose work is not done when it is told to end."""
+    """A node whose work is not done when it is asked to end."""
 
-    def told_to_end(self) -> None:
+    def stop_requested(self) -> None:
         """What must be done at once; nothing by default."""
 
     def finish(self) -> int:
@@ -62,11 +62,11 @@ class FinishingNode(Node):
 def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None = None) -> int:
     """Like :func:`run`, but a signal does not cut the node off from what has already arrived.
 
-    Its ``told_to_end`` is called at once; it goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
+    Its ``stop_requested`` is called at once; it goes on for ``DRAIN_S``, then its ``finish`` gives the exit code.
     """
-    told: list[int] = []
+    signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda which, frame: told.append(which))
+        signal.signal(number, lambda which, frame: signals.append(which))
     rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     node: FinishingNode | None = None
     code = 0
@@ -74,10 +74,10 @@ def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not told and ok():
+        while not signals and ok():
             executor.spin_once(timeout_sec=0.1)
         if ok():
-            node.told_to_end()
+            node.stop_requested()
         end = time.monotonic() + DRAIN_S
         while time.monotonic() < end and ok():
             executor.spin_once(timeout_sec=0.02)

@@ -127,7 +127,7 @@ class SimNode(Node):
 
     def _on_poll(self) -> None:
         status = self._physics.status
-        for arrival, answer in self._physics.answers():
+        for arrival, answer in self._physics.responses():
             if isinstance(answer, protocol.Batch):
                 at_once = status is not None and status.paused
                 if (left_out := self._outputs.take(answer, arrival, at_once)) > LOG_S:

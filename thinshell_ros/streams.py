@@ -85,7 +85,7 @@ def channels_of(
 
 
 def twist_topic(target_pose: str) -> str:
-    """Topic of the commanded velocities of an end effector, beside that of its commanded poses."""
+    """Topic of the commanded velocities of an end effector, next to that of its commanded poses."""
     place, slash, name = target_pose.rpartition("/")
     return f"{place}{slash}{'target_twist' if name == 'target_pose' else f'{name}_twist'}"
 

@@ -22,7 +22,7 @@ class Waiting(Protocol):
 
 class Supervisor:
     """The physics process with a watchdog. A process that has not been heard of for ``patience_s`` [s] of wall time is
-    taken to hang: whoever waits for an answer is told so, and a reset kills it and starts another."""
+    taken to hang: whoever waits for a response gets this as an error, and a reset kills it and starts another."""
 
     def __init__(
         self, settings: protocol.Settings, patience_s: float, on_answer: Callable[[], None] = lambda: None
@@ -53,10 +53,10 @@ class Supervisor:
         doing = "has not answered" if self.ready else "has been building its scene"
         return f"The physics process {doing} for {self.silent_s:.0f} s."
 
-    def answers(self) -> Iterator[tuple[float, protocol.Answer]]:
-        """What has arrived, each with its wall time of arrival [s]. Those who wait get their answers; where the process
-        hangs or has ended, that."""
-        for arrival, answer in self._worker.answers():
+    def responses(self) -> Iterator[tuple[float, protocol.Answer]]:
+        """What has arrived, each with its wall time of arrival [s]. Those who wait get their responses; where the
+        process hangs or has ended, that."""
+        for arrival, answer in self._worker.responses():
             if isinstance(answer, protocol.Ready):
                 self.ready = True
             elif isinstance(answer, protocol.Status):

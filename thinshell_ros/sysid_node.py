@@ -61,7 +61,7 @@ class SysidNode(Node):
         declare(self, "fit.upper", None, "upper bounds; [] or none: of the physics", fixed=False, any_type=True)
         declare(self, "fit.max_iterations", 200, "evaluations at most", bounds=(1, 100_000), fixed=False)
         declare(self, "fit.seed", 0, "seed of everything random", bounds=(0, 2**31), fixed=False)
-        kinds = "what is estimated beside: time,bias,camera,pose; all; none"
+        kinds = "what is estimated as well: time,bias,camera,pose; all; none"
         declare(self, "fit.nuisance", "all", kinds, fixed=False)
         spread = "what is known before of fit.initial; 0: nothing"
         declare(self, "fit.prior_sd", None, spread, fixed=False, any_type=True)
@@ -77,7 +77,7 @@ class SysidNode(Node):
 
         self._state = FitState()
         self._request: Request | None = None
-        self._elapsed_s = self._told_s = 0.0
+        self._elapsed_s = self._reported_s = 0.0
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED)
         self._estimate = self.create_publisher(Float64MultiArray, "~/parameters_estimate", **overridable(LATCHED))
         self._result = self.create_publisher(String, "~/result", **overridable(LATCHED))
@@ -147,7 +147,7 @@ class SysidNode(Node):
         return response
 
     def _on_poll(self) -> None:
-        """Take what the fit told, and publish: what is new at once, the time that passes every second."""
+        """Take what the fit reported, and publish: what is new at once, the time that passes every second."""
         if self._process is None:
             return
         self._elapsed_s = self._process.elapsed_s
@@ -172,11 +172,11 @@ class SysidNode(Node):
                 self.get_logger().warning(f"{self._state.job_id} succeeded: {self._state.doing}")
             else:
                 self.get_logger().info(f"{self._state.job_id} succeeded: {self._state.doing}")
-        if events or time.monotonic() - self._told_s > 1.0:
+        if events or time.monotonic() - self._reported_s > 1.0:
             self._tell()
 
     def _tell(self) -> None:
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         report = self._state.report(self._elapsed_s)
         self._status.publish(messages.status(self.get_fully_qualified_name(), self._rig.name, report))
 

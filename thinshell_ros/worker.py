@@ -73,7 +73,7 @@ class Worker:
             return ""
         return f"The physics process ended with code {self._process.exitcode}."
 
-    def answers(self) -> Iterator[tuple[float, protocol.Answer]]:
+    def responses(self) -> Iterator[tuple[float, protocol.Answer]]:
         """What has arrived, each with its wall time of arrival [s]; does not wait."""
         while not self._inbox.empty():
             self._listening = True

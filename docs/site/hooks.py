@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
+from mkdocs.utils import get_relative_url
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -53,8 +54,10 @@ def on_page_content(html: str, **_: Any) -> str:
 
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the theme loads so that search works in pages opened from a folder."""
+OWN_SHIM = "javascripts/iframe-worker.js"
+"""The same file within the site."""
 
 
-def on_post_page(output: str, **_: Any) -> str:
-    """Load nothing from elsewhere; search then needs the site to be served, as by 'python -m http.server'."""
-    return output.replace(SHIM, "data:text/javascript,")
+def on_post_page(output: str, page: Any, **_: Any) -> str:
+    """Load nothing from elsewhere."""
+    return output.replace(SHIM, get_relative_url(OWN_SHIM, page.url))

@@ -131,7 +131,7 @@ def bounds(entry: Schema) -> str:
 
 
 def _presets() -> str:
-    lines = ["## Material presets", "", "A key beside `preset:` takes the place of the preset's value.", ""]
+    lines = ["## Material presets", "", "A key next to `preset:` takes the place of the preset's value.", ""]
     keys = ("E_pa", "nu", "density_kg_m3", "thickness_m")
     lines += [
         "| preset | " + " | ".join(f"`{key}`" for key in keys) + " | source |",

@@ -3,7 +3,7 @@
 Points held by faces need no more; but edges that cross, and the sharp edges of rigid bodies, meet between the
 points. Two edges with the closest points p and q at the distance d = |p - q| have the energy
 
-    E = A m psi(d - offset),    A = half the sum of the two edges' areas (a third of the triangles beside each)
+    E = A m psi(d - offset),    A = half the sum of the two edges' areas (a third of the triangles adjacent to each)
 
 with the mollifier m against nearly parallel edges (:mod:`sim_core.contact.segments`). The range of this law is
 half that of the points' (:class:`SurfaceContact`): edges bear only where points have let the surfaces come too

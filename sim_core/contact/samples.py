@@ -82,7 +82,8 @@ def face_triangles(faces: np.ndarray) -> np.ndarray:
 
 
 def triangle_edges(triangles: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of a triangle mesh once each, int32 ``(k, 2)``, and their areas [m^2]: a third of the triangles beside."""
+    """Edges of a triangle mesh once each, int32 ``(k, 2)``, and their areas [m^2]: a third of the adjacent
+    triangles."""
     corner = nodes[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     edges, inverse = _sides(triangles)

@@ -64,7 +64,7 @@ def target() -> tuple[str, ...]:
 
 
 def sources() -> list[Path]:
-    """What is compiled, beside the laws, which are lowered from Python (:mod:`sim_core.core.lowering`)."""
+    """What is compiled in addition to the laws, which are lowered from Python (:mod:`sim_core.core.lowering`)."""
     return [HERE / "core.cpp", *sorted((HERE / "include").glob("*.hpp"))]
 
 

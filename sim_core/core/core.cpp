@@ -133,23 +133,23 @@ void thinshell_yield(void *handle, int64_t column, int64_t mount, const double *
 
 // Steps of `dt` (count) from the present state, one after the other, along the frames of the mounts, those of the present
 // state first (count + 1, mounts, 12), which move by the parameters as in `motions` (count + 1 or 1, mounts, 6, columns).
-// `weights`: of the modulations (count + 1, modulations). `beside`: moves of the nodes of a rollout near by in these steps
+// `weights`: of the modulations (count + 1, modulations). `warm_start`: moves of the nodes of a rollout near by in these steps
 // (count, nodes, 3), null: none. Returns how many were made; of the next one as much as its counts say.
 int64_t thinshell_steps(void *handle, int64_t count, const double *dt, const double *places, const double *motions,
-                        int64_t moving, const double *weights, const double *beside, int64_t inertia, const Outputs *out,
+                        int64_t moving, const double *weights, const double *warm_start, int64_t inertia, const Outputs *out,
                         StepCounts *counts) {
   Handle &h = *static_cast<Handle *>(handle);
   std::vector<double> guess;
   for (int64_t k = 0; k < count; ++k) {
     const Frames from = frames_at(h.record, places, motions, moving, weights, k);
     const Frames to = frames_at(h.record, places, motions, moving, weights, k + 1);
-    if (beside) {
+    if (warm_start) {
       guess = h.rollout.x;
-      for (int64_t i = 0; i < 3 * h.record.nodes; ++i) guess[i] += beside[3 * h.record.nodes * k + i];
+      for (int64_t i = 0; i < 3 * h.record.nodes; ++i) guess[i] += warm_start[3 * h.record.nodes * k + i];
     }
     counts[k] = StepCounts{};
     if (h.rollout.tape) ++h.rollout.tape->interval;
-    if (!h.rollout.advance(dt[k], from, to, beside ? guess.data() : nullptr, inertia != 0, counts[k])) return k;
+    if (!h.rollout.advance(dt[k], from, to, warm_start ? guess.data() : nullptr, inertia != 0, counts[k])) return k;
     h.rollout.write(outputs_at(h.record, *out, k));
   }
   return count;
@@ -246,7 +246,7 @@ int64_t thinshell_blocks(void *handle, int64_t *row, int64_t *column, double *va
   return count;
 }
 
-// Let a rollout's steps be noted from now on, on a tape that is returned; `bound`: on its memory [B], beside positions.
+// Let a rollout's steps be noted from now on, on a tape that is returned; `bound`: on its memory [B], in addition to positions.
 void *thinshell_tape(void *handle, int64_t bound) {
   Tape *tape = new Tape;
   tape->bound = std::size_t(bound);

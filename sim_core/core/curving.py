@@ -50,7 +50,7 @@ class Curving:
 
 def curving_of(scene: Scene, pairs: Mapping[str, np.ndarray]) -> Curving:
     """Of all sheets of a scene. ``pairs``: by the name of a term, its triangles and hinges ``(2, k)`` where others are
-    wanted beside those on which its curvatures depend."""
+    wanted in addition to those on which its curvatures depend."""
     layout, bent = layout_of(scene), bent_by_laws(scene)
     found, weights, graded, laws = [np.empty((2, 0), dtype=int)], [np.empty((0, 3))], [], []
     own: dict[str, tuple[slice, slice]] = {}

@@ -100,7 +100,7 @@ class CoreRollout(CoreState):
         """Where each gel was pressed most."""
         self._seen = np.zeros((0, 3))
         self.given: State | None = None
-        """The state in which it was told to begin, where it did not settle."""
+        """The state in which it was asked to begin, where it did not settle."""
 
     def left(self) -> PermanentState | None:
         """What bodies keep of what has happened to them; None where they keep nothing."""
@@ -235,11 +235,11 @@ class CoreRollout(CoreState):
 
     # Steps
 
-    def run(self, beside: NodePath | None = None) -> Iterator[Chunk]:
+    def run(self, warm_start: NodePath | None = None) -> Iterator[Chunk]:
         """All steps, some at a time."""
         count, done = len(self.times), 1
         lengths = np.diff(self.times)
-        moves = None if beside is None else self._moves(beside)
+        moves = None if warm_start is None else self._moves(warm_start)
         inertia = self.scene.system.inertia
         while done < count:
             ask = min(self._room, count - done)
@@ -278,11 +278,11 @@ class CoreRollout(CoreState):
                         self.least_volumes[found.body] = found
             self._seen = x
 
-    def _moves(self, beside: NodePath) -> np.ndarray | None:
+    def _moves(self, warm_start: NodePath) -> np.ndarray | None:
         """How nodes move in each step of a rollout near by ``(t - 1, n, 3)``; None where it has not the same nodes."""
-        if beside.positions.shape[1:] != self.scene.rest.shape:
+        if warm_start.positions.shape[1:] != self.scene.rest.shape:
             return None
-        return np.diff(interpolate(beside.times, beside.positions, self.times), axis=0)
+        return np.diff(interpolate(warm_start.times, warm_start.positions, self.times), axis=0)
 
     def _call(
         self, steps: slice, lengths: np.ndarray, moves: np.ndarray | None, inertia: bool
@@ -293,9 +293,9 @@ class CoreRollout(CoreState):
         own, ends = slice(steps.start - 1, steps.stop - 1), slice(steps.start - 1, steps.stop)
         moving = self._motions is not None and len(self._motions) > 1
         at = self._at(self.places[ends], self._motions[ends] if self._motions is not None and moving else self._motions)
-        beside = None if moves is None else pointer_to(np.ascontiguousarray(moves[own]))
+        warm_start = None if moves is None else pointer_to(np.ascontiguousarray(moves[own]))
         times, out = pointer_to(np.ascontiguousarray(lengths[own])), ctypes.byref(self._outputs())
-        rest = (int(moving), self._weights_at(own.start), beside, int(inertia), out, pointer_to(counts))
+        rest = (int(moving), self._weights_at(own.start), warm_start, int(inertia), out, pointer_to(counts))
         made = int(self._library.thinshell_steps(self._handle, len(counts), times, *at, *rest))
         raise_what_was_raised()
         return made, counts

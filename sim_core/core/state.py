@@ -100,7 +100,7 @@ class CoreState:
         return self._array(name).reshape(*shape, self._columns) if columns else self._array(name).reshape(shape)
 
     def lead(self, other: CoreState, column: int | None) -> None:
-        """Lead another of the same nodes along the path of this one; a column answers to its laws, None: none does."""
+        """Lead another of the same nodes along the path of this one; a column responds to its laws, None: none does."""
         self._library.thinshell_amend(self._handle, other._handle, -1 if column is None else column)
         self._led.append(other)
 

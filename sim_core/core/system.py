@@ -22,7 +22,7 @@ from sim_core.solve.system import System
 
 @dataclass(frozen=True)
 class Alone:
-    """The mechanics of a system without mounts: what is prescribed is told node by node."""
+    """The mechanics of a system without mounts: what is prescribed is given node by node."""
 
     system: System
     followers: Sequence[Any] = ()

@@ -102,13 +102,13 @@ NuisanceKind = Literal["time", "bias", "camera", "pose"]
 
 @dataclass(frozen=True)
 class Nuisance:
-    """An effect within its prior, which every fit allows for beside what it is asked for.
+    """An effect within its prior, which every fit estimates jointly with the parameters it is asked for.
 
     ``owner``: name of the channel, camera or end effector; ``parameter``: full name of the number of the rig that
     stands for it (None: a constant for each component, which fits eliminate); ``sd``: standard deviation of its prior,
     in the fitted scale, 0 where it is known exactly (None: by the size of what was measured); ``same_as``: the effect's
-    own parameters that describe the same thing, beside which it is left out; ``tied``: further numbers of the rig that
-    change in proportion; ``per_recording``: each recording has a value of its own.
+    own parameters that describe the same thing, in whose presence it is left out; ``tied``: further numbers of the rig
+    that change in proportion; ``per_recording``: each recording has a value of its own.
     """
 
     kind: NuisanceKind

@@ -1,7 +1,7 @@
 """Internal friction of a sheet in bending: fibres slide on each other once they are bent far enough.
 
-A spring of g times the bending stiffness D in series with a slider, beside the sheet's own law: the curvature z of the
-spring follows that of the sheet until it has the size y, and is dragged along from there on,
+A spring of g times the bending stiffness D in series with a slider, parallel to the sheet's own law: the curvature z of
+the spring follows that of the sheet until it has the size y, and is dragged along from there on,
 
     z' = z_t min(1, y / n(z_t)),    z_t = z + kappa' - kappa,    n(z)^2 = z . D z / T,    T = 1 / (D^-1)_11
     moment added: g D z',    w = g T n^2 / 2    n <= y,    g T (y n - y^2 / 2)    n > y,    n = n(z_t)

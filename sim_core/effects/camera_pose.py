@@ -1,6 +1,6 @@
 """Pose of a camera: it stands elsewhere than its calibration says, by a constant shift and turn in its own frame.
 
-T_true = T_told * (rho, exp phi)    (:class:`sim_core.rigs.pose_offset.Displaced`)
+T_true = T_nominal * (rho, exp phi)    (:class:`sim_core.rigs.pose_offset.Displaced`)
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ With the work of adhesion w [J/m^2], the range d [m] and s = g / d, energy and a
 
 so pulling apart a unit of area takes w, and the greatest attraction, 3 w / (2 d), is at half the range: a cohesive zone
 (Xu & Needleman, Modelling Simul. Mater. Sci. Eng. 1, 1993; in place of their exponential a cubic of finite range). A
-rigid sphere of radius R is pulled off with 2 pi w R where the range is long beside the indentation (DMT) and 3/2 pi w R
-where it is short (JKR; Maugis, J. Colloid Interface Sci. 150, 1992).
+rigid sphere of radius R is pulled off with 2 pi w R where the range is long compared with the indentation (DMT) and 3/2
+pi w R where it is short (JKR; Maugis, J. Colloid Interface Sci. 150, 1992).
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class GelRelaxation(MaterialLaw):
     title = "the gel relaxes"
     words = (
         "The gel's stress fades while it is held deformed: a share g of its shear stress decays with the "
-        "time constant tau (a Maxwell element beside the spring)."
+        "time constant tau (a Maxwell element parallel to the spring)."
     )
     signature = (
         "In a hold the measured force goes on falling, and in fast presses the gel is stiffer than in slow ones."

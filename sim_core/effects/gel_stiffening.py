@@ -2,9 +2,9 @@
 
     psi(E) = a Q^2 / (4 T),    Q = E . D E,    S = a Q D E / T,    D E = 2 mu (E - tr(E) / 3 1),    T = 3 mu
 
-of Green strains E, so that an incompressible bar that is pulled by a small strain e bears 3 mu e (1 + a e^2) beside its
-own law's higher powers: the quadratic term of Yeoh (Rubber Chem. Technol. 66, 1993), in the invariant of Green's
-strain, which is convex for a >= 0."""
+of Green strains E, so that an incompressible bar that is pulled by a small strain e bears 3 mu e (1 + a e^2) in
+addition to its own law's higher powers: the quadratic term of Yeoh (Rubber Chem. Technol. 66, 1993), in the invariant
+of Green's strain, which is convex for a >= 0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Viscosity of a gel (Kelvin-Voigt): stress in proportion to the rate of strain, beside the elastic one.
+"""Viscosity of a gel (Kelvin-Voigt): stress in proportion to the rate of strain, in addition to the elastic one.
 
     S = S_e(C) + beta dS_e/dt
 

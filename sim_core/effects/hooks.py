@@ -97,7 +97,7 @@ class MechanicsMap(Effect):
 
 
 class BodyForce(Effect):
-    """Terms of the incremental potential: forces that act on bodies beside elasticity, contact and weight.
+    """Terms of the incremental potential: forces that act on bodies in addition to elasticity, contact and weight.
 
     A term declares whether it looks at the start of its step or remembers anything
     (:func:`sim_core.energies.term.check_term`); numbers that it is configured with are its own.
@@ -244,7 +244,7 @@ class FieldMap(Effect):
 
 
 class NormalLaw(Effect):
-    """Contact pressure beside that which keeps surfaces apart: attraction, a soft layer between them.
+    """Contact pressure in addition to that which keeps surfaces apart: attraction, a soft layer between them.
 
     It is one formula, an energy per area; pressure, slope and all that gradients need are its derivatives.
     Friction goes with the pressure that keeps surfaces apart, not with this one, so that attraction adds to the load of

@@ -55,7 +55,7 @@ class SheetCrease(FieldMap):
         return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
-        """Creases across x and across y, in the middle of the sheet and beside it, a twentieth of its size wide."""
+        """Creases across x and across y, in the middle of the sheet and off it, a twentieth of its size wide."""
         found = []
         for bounds in [body.shape.bounds() for body in rig.bodies.values() if isinstance(body, Sheet)][:1]:
             middle, size = bounds.mean(axis=0), np.ptp(bounds, axis=0)

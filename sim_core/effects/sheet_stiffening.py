@@ -25,10 +25,10 @@ def stretched(e: Any, d: Any, coefficient: float) -> Any:
 
 def uniaxial(d: Any) -> Any:
     """T = 1 / (D^-1)_11."""
-    beside = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1]
+    minor = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1]
     first = d[1, 0] * d[2, 2] - d[1, 2] * d[2, 0]
     second = d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]
-    return d[0, 0] - (d[0, 1] * first - d[0, 2] * second) / beside
+    return d[0, 0] - (d[0, 1] * first - d[0, 2] * second) / minor
 
 
 class SheetStiffening(MaterialLaw):

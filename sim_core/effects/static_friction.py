@@ -3,7 +3,7 @@
     mu(v) = mu_k (1 + a exp(-(v / v_s)^2))
 
 with the slip speed v of the last step (Bo & Pavelescu, Wear 82, 1982: the exponential form of Stribeck's curve without
-its viscous part) and v_s fixed, since recordings hardly tell it beside a.
+its viscous part) and v_s fixed, since recordings hardly identify it jointly with a.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Offset of the tool: an end effector is not quite where its poses say, by a constant shift and turn in its own frame.
 
-T_true = T_told * (rho, exp phi)    (:class:`sim_core.rigs.pose_offset.Displaced`)
+T_true = T_nominal * (rho, exp phi)    (:class:`sim_core.rigs.pose_offset.Displaced`)
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class ToolOffset(RigMap):
     name = "tool_offset"
     title = "the tool is mounted askew"
     words = (
-        "The tool is not quite where the robot believes it to be: it is shifted and turned by a constant amount in the "
+        "The tool is not quite where the robot takes it to be: it is shifted and turned by a constant amount in the "
         "frame of the end effector."
     )
     signature = "Contact begins too early or too late by the same depth everywhere, and loads lean to one side."

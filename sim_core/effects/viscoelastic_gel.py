@@ -1,4 +1,4 @@
-"""Viscoelastic gel: Maxwell elements beside its own law, as many as are named.
+"""Viscoelastic gel: Maxwell elements parallel to its own law, as many as are named.
 
     dz/dt = dE/dt - z / tau,    S = g D z,    D E = 2 mu (E - tr(E) / 3 1)
 
@@ -18,7 +18,7 @@ from sim_core.rigs import Gel, Rig
 
 
 class ViscoelasticGel(MaterialLaw):
-    """A gel with Maxwell elements beside its stiffness."""
+    """A gel with Maxwell elements parallel to its stiffness."""
 
     name = "viscoelastic_gel"
     title = "the gel creeps"

@@ -1,7 +1,7 @@
 """Viscoelastic sheet: in stretching and in bending, part of its stress needs time to fade.
 
-A Maxwell element (a spring of g times the sheet's stiffness D and a dashpot, time constant tau) beside the sheet's own
-law, with the strain z of its spring as internal variable:
+A Maxwell element (a spring of g times the sheet's stiffness D and a dashpot, time constant tau) parallel to the sheet's
+own law, with the strain z of its spring as internal variable:
 
     dz/dt = de/dt - z / tau,    stress added: g D z
 
@@ -39,7 +39,7 @@ def maxwell(e: Any, e_0: Any, d: Any, spring: Any, dt: float, share: float, tau_
 
 
 class ViscoelasticSheet(MaterialLaw):
-    """A sheet with a Maxwell element beside its stiffness."""
+    """A sheet with a Maxwell element parallel to its stiffness."""
 
     name = "viscoelastic_sheet"
     title = "the sheet creeps"

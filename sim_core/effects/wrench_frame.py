@@ -2,7 +2,7 @@
 
     f' = R^T f,    m' = R^T (m - r x f),    R = exp phi
 
-of force f and torque m about the origin of the frame that is told, with the shift r and the rotation vector phi of the
+of force f and torque m about the origin of the nominal frame, with the shift r and the rotation vector phi of the
 true frame in it (transport of a wrench: Murray, Li & Sastry, A Mathematical Introduction to Robotic Manipulation, 1994,
 sec. 2.5).
 """
@@ -21,7 +21,7 @@ class WrenchFrame(Linear):
 
     name = "wrench_frame"
     title = "the force sensor is mounted askew"
-    words = "The wrench sensor is turned and shifted by a constant amount against the frame that is told."
+    words = "The wrench sensor is turned and shifted by a constant amount against its nominal frame."
     signature = (
         "Loads lean to one side by the same angle whatever their size; torques are off by an arm times the force."
     )

@@ -89,7 +89,7 @@ class Bending(ElementValues):
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._configure_grading(parameters)
-        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._nu_shift, thin=True)
         self._d[:] = self._rigidity(plane_stress(parameters, self._nu))
         self._yield_curvature = parameters.get("yield_curvature_per_m", np.inf)
         self._hardening_ratio = parameters.get("hardening_ratio", 0.0)

@@ -1,7 +1,7 @@
-"""What the elements of a body have for themselves, beside the numbers of its material.
+"""What the elements of a body have for themselves, in addition to the numbers of its material.
 
 With the factor f of an element, those g of effects that grade the body from place to place and in time, and what an
-element has beside the body's Poisson's ratio and stiffness damping,
+element has in addition to the body's Poisson's ratio and stiffness damping,
 
     stiffness_e = f_e g_e stiffness,    nu_e = nu + dnu_e,    beta_e = beta + dbeta_e.
 
@@ -32,7 +32,7 @@ class ElementValues(ABC):
         self._size: np.ndarray = sizes.copy()
         """Weighed by the factors; changed in place, since kernels hold it."""
         self._factors = np.ones(count)
-        self._beside, self._nu = np.zeros(count), np.zeros(count)
+        self._nu_shift, self._nu = np.zeros(count), np.zeros(count)
         self._damping, self._more_damping = np.zeros(count), np.zeros(count)
         self._given: dict[str, float] = {}
 
@@ -50,14 +50,14 @@ class ElementValues(ABC):
         """Let effects scale the stiffness of elements."""
         self.grading = grading
 
-    def shift_nu(self, beside: np.ndarray) -> None:
-        """Let each element have Poisson's ratio ``beside`` ``(m,)`` that which is configured."""
-        self._beside[:] = beside
+    def shift_nu(self, shift: np.ndarray) -> None:
+        """Add ``shift`` ``(m,)`` to the configured Poisson's ratio, element by element."""
+        self._nu_shift[:] = shift
         self.configure(self._given)
 
-    def shift_damping(self, beside: np.ndarray) -> None:
-        """Let each element have ``beside`` ``(m,)`` [s] more stiffness damping than configured."""
-        self._more_damping[:] = beside
+    def shift_damping(self, more: np.ndarray) -> None:
+        """Let each element have ``more`` ``(m,)`` [s] more stiffness damping than configured."""
+        self._more_damping[:] = more
         self.configure(self._given)
 
     @property

@@ -78,7 +78,7 @@ class Membrane(ElementValues, Memoryless):
     def configure(self, parameters: Mapping[str, float]) -> None:
         self._given = dict(parameters)
         self._configure_grading(parameters)
-        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._beside, thin=True)
+        self._nu[:] = poisson_ratios(self.name, parameters["nu"], self._nu_shift, thin=True)
         self._elastic[:] = parameters["thickness_m"] * plane_stress(parameters, self._nu)
         self._damping[:] = parameters.get("stiffness_damping_s", 0.0) + self._more_damping
 

@@ -11,7 +11,7 @@ are put in are the E and nu that a tensile test reads off. The energy is a polyn
 and smooth through inversion. The force of a uniaxial test rises monotonically with compression down to
 the stretch 0.54 at nu = 0.2, 0.42 at 0.3, 0.14 at 0.45 and below 0.1 at 0.49; beyond that it drops.
 
-Damping by the rate of strain (Kelvin-Voigt, beta [s]) is beta dS_dev/dt beside S_dev and beta K dJ/dt beside the
+Damping by the rate of strain (Kelvin-Voigt, beta [s]) is beta dS_dev/dt added to S_dev and beta K dJ/dt added to the
 pressure K (J - 1). With k = beta / tau of the step and what :meth:`sim_core.energies.term.StepContext.base` makes of
 both,
 
@@ -123,7 +123,7 @@ class NeoHookean(ElementValues):
         for name in known:
             if name not in values:
                 raise ConfigError(f"{self.name} needs the parameter {name!r}.", "Add it to the material.")
-        e_pa, nu = values["E_pa"], poisson_ratios(self.name, values["nu"], self._beside)
+        e_pa, nu = values["E_pa"], poisson_ratios(self.name, values["nu"], self._nu_shift)
         if not 0.0 < e_pa < np.inf:
             raise ConfigError(f"{self.name}: E_pa = {e_pa} is not between 0.0 and inf.")
         self._given, self._nu[:], self._moduli[:] = dict(parameters), nu, moduli(e_pa, nu)

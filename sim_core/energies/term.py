@@ -31,7 +31,7 @@ class Quantity:
     """A number that a term is configured with.
 
     ``power``: of the value that an element has of it in the element's energy, if it is a factor there; else 0.
-    ``shares``: what the elements have is their share of it, which the term was told.
+    ``shares``: what the elements have is their share of it, which the term was given.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """What is wrong with a mesh that was made elsewhere, by the numbers of the vertices and elements concerned.
 
-What has one remedy only is repaired, and told; everything else is refused. Numbers count from 0, as in the file.
+What has one remedy only is repaired, and reported; everything else is refused. Numbers count from 0, as in the file.
 """
 
 from __future__ import annotations

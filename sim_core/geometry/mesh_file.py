@@ -1,6 +1,6 @@
 """Meshes from files: triangles of sheets, tetrahedra of gels, closed surfaces to be filled.
 
-Formats are those of meshio; the unit of the coordinates is told by the caller, as files do not say it.
+Formats are those of meshio; the unit of the coordinates is given by the caller, as files do not say it.
 """
 
 from __future__ import annotations

@@ -34,18 +34,18 @@ def crossing_edges(one: np.ndarray, other: np.ndarray) -> tuple[int, int] | None
     q, s = other, np.roll(other, -1, axis=0) - other
     between = q[None] - p[:, None]
     turn = _cross(r[:, None], s[None])
-    along, beside = _cross(between, s[None]), _cross(between, r[:, None])
+    along, across = _cross(between, s[None]), _cross(between, r[:, None])
     size = np.linalg.norm(r, axis=1)[:, None] * np.linalg.norm(s, axis=1)[None]
     parallel = np.abs(turn) <= 1e-12 * size
     with np.errstate(divide="ignore", invalid="ignore"):
         meet = (
-            ~parallel & (along / turn >= 0.0) & (along / turn <= 1.0) & (beside / turn >= 0.0) & (beside / turn <= 1.0)
+            ~parallel & (along / turn >= 0.0) & (along / turn <= 1.0) & (across / turn >= 0.0) & (across / turn <= 1.0)
         )
         # Parallel edges on one line have points in common where their extents do.
         length2 = np.sum(r**2, axis=1)[:, None]
         begin = np.sum(between * r[:, None], axis=-1) / length2
         end = begin + np.sum(s[None] * r[:, None], axis=-1) / length2
-        on_line = np.abs(beside) <= 1e-12 * size
+        on_line = np.abs(across) <= 1e-12 * size
         low, high = np.minimum(begin, end), np.maximum(begin, end)
         over = parallel & on_line & (low <= 1.0) & (high >= 0.0)
         more = parallel & on_line & (low < 1.0 - 1e-9) & (high > 1e-9)

@@ -236,7 +236,7 @@ def _cupy() -> Any:
     except cupy.cuda.runtime.CUDARuntimeError:
         count = 0
     if not count:
-        raise ConfigError("Rollouts on a GPU need an NVIDIA GPU, and this machine has none that answers.", remedy)
+        raise ConfigError("Rollouts on a GPU need an NVIDIA GPU, and this machine has none that responds.", remedy)
     return cupy
 
 

@@ -25,7 +25,7 @@ from sim_core.core.rollout import CHUNK_BYTES
 from sim_core.core.slopes import NumberSlopes
 from sim_core.energies.linearised import cross, skew, unflatten
 from sim_core.gradients.boundary_motion import carried_contacts, carried_freely
-from sim_core.gradients.camera_gradients import Pictures
+from sim_core.gradients.camera_gradients import CameraGradients
 from sim_core.gradients.directions import Direction, checked, command_motions, motions, slopes
 from sim_core.gradients.fields import FieldGradients
 from sim_core.gradients.gradient import MEMORY_MB, Gradient
@@ -80,7 +80,7 @@ class Backward:
         self._movable = [m for m in scene.start if m in scene.rig.end_effectors]
         self._moved = motions(scene.rig, along)
         self._moving = command_motions(scene.rig, along, tape.commanded, rollout.times)
-        self._pictures = Pictures(self._along)
+        self._pictures = CameraGradients(self._along)
 
     @property
     def trace(self) -> Trace:

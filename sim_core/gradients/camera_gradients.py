@@ -63,7 +63,7 @@ class Imaging:
         return np.concatenate([taken(camera, part, beyond=high) for part in parts])
 
 
-class Pictures:
+class CameraGradients:
     """Sums by the parameters ``along`` over the pictures of a rollout."""
 
     def __init__(self, along: Sequence[Direction]) -> None:

@@ -60,7 +60,7 @@ class FieldGradients:
         self._density = scene.values(scene.rig).density
         self.shapes = RestShapes(scene, [name.split(".")[0] for name in self._names if name.endswith(f".{REST}")])
         self.curving = curving_of(scene, self.shapes.pairs) if self._names else None
-        """What the core sums up weights of, beside the record's arrays."""
+        """What the core sums up weights of, in addition to the record's arrays."""
 
     def damped(self, numbers: NumberSlopes) -> NumberSlopes:
         """The numbers along which a rollout is differentiated, and a column more where the core has to look at rates of

@@ -15,7 +15,7 @@ A parameter may also change in time: a modulus E (1 + a f(t)), a hand that is of
 parameter's derivative of each step, weighed by the course f at its end.
 
 An end effector that gives way moves by its compliance times the load that the baseline puts on it, which is propagated
-like any motion of a mount. All of these are columns of the core beside the derivatives (:mod:`sim_core.core.amended`).
+like any motion of a mount. All of these are columns of the core next to the derivatives (:mod:`sim_core.core.amended`).
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ def simulate_responses(
     on_step: Callable[[int, int], None] | None = None,
     *,
     keep_path: bool = False,
-    beside: NodePath | None = None,
+    warm_start: NodePath | None = None,
     left: PermanentState | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout, and for every channel ``(n_times, ..., n_along + n_amendments + n_modulations)``: its
     derivatives by the directions, then its responses to the amendments, then to the modulations.
 
     A direction may also be of finite width, from the baseline to a rig with other numbers or commands; its derivative
-    is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``. ``keep_path``,
-    ``beside``, ``left``: as of :func:`sim_core.gradients.tangent.simulate_tangent`, without derivatives by what comes
-    after ``along``.
+    is then the secant in these numbers, and to first order in what they do. Times [s] ``(n_times,)``.
+    ``keep_path``, ``warm_start``, ``left``: as of :func:`sim_core.gradients.tangent.simulate_tangent`, without
+    derivatives by what comes after ``along``.
     """
     first = len(along)
     whole = [*along, *_idle(scene.rig, len(amendments) + len(modulations))]
@@ -77,7 +77,7 @@ def simulate_responses(
             Followed(amendment.scene, rollout, column, left, amendment.kept)
         for mount, given in compliance.items():
             rollout.give_way(mounts.index(mount), scene.carried(mount), given, column)
-    return differentiated(rollout, whole, start, on_step, keep_path=keep_path, beside=beside, left=left)
+    return differentiated(rollout, whole, start, on_step, keep_path=keep_path, warm_start=warm_start, left=left)
 
 
 def let_remember(

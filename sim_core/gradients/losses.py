@@ -81,9 +81,9 @@ def one_number(value: float) -> float:
     """The value of a loss. Raises ``ConfigError`` where it is not one finite real number."""
     given = np.asarray(value)
     if given.shape != () or given.dtype.kind not in "fiub" or not np.isfinite(given):
-        told = f"of shape {given.shape}" if given.shape else f"{value!r}"
+        shown = f"of shape {given.shape}" if given.shape else f"{value!r}"
         raise ConfigError(
-            f"The value of the loss is {told}, not one finite real number.",
+            f"The value of the loss is {shown}, not one finite real number.",
             "Sum over readings, those that are out of sight (NaN) left out: float(np.nansum(...)).",
         )
     return float(given)

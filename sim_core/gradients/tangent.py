@@ -1,10 +1,10 @@
 """Forward sensitivities of a rollout with respect to parameters, through the implicit steps.
 
 Each step is linearised where it ended and carries the derivative of the state along every parameter: one factorisation
-a step, one back-substitution a parameter, on the core beside the state (:file:`sim_core/core/include/rollout.hpp`). The
-derivatives are those of the discrete rollout, exact but for round-off and for the slopes of the parameters themselves.
-Offsets of end effectors move what follows them, in every step and at the start
-(:mod:`sim_core.gradients.boundary_motion`).
+a step, one back-substitution a parameter, in the core, together with the state
+(:file:`sim_core/core/include/rollout.hpp`). The derivatives are those of the discrete rollout, exact but for round-off
+and for the slopes of the parameters themselves. Offsets of end effectors move what follows them, in every step and at
+the start (:mod:`sim_core.gradients.boundary_motion`).
 
 Where the true derivative jumps (a contact made or lost within the step, the onset of yield, a point that has just
 begun to press) it is that of the branch that the rollout took. A number of zero (friction, a share) is differentiated
@@ -43,30 +43,30 @@ def simulate_tangent(
     settings: NewtonSettings | None = None,
     *,
     keep_path: bool = False,
-    beside: NodePath | None = None,
+    warm_start: NodePath | None = None,
     left: PermanentState | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Trace of a rollout at ``times`` [s] and the derivatives of every channel, ``(n_times, ..., n_parameters)``, in
     the unit of the channel over that of the parameter. Raises ``ConfigError`` where ``along`` has something else than
-    directions. ``keep_path``, ``beside``, ``left``: as of :func:`sim_core.simulate.simulate`; what was left has
+    directions. ``keep_path``, ``warm_start``, ``left``: as of :func:`sim_core.simulate.simulate`; what was left has
     derivatives along the same directions."""
     along = checked(along)
     moving = boundary_motions(scene, poses, times, along)
     numbers = NumberSlopes(*slopes(scene, along))
     rollout = CoreRollout(scene, poses, times, settings or NewtonSettings(), numbers, moving)
     start = start_of(rollout, moving[0], len(along), left)
-    return differentiated(rollout, along, start, on_step, keep_path=keep_path, beside=beside, left=left)
+    return differentiated(rollout, along, start, on_step, keep_path=keep_path, warm_start=warm_start, left=left)
 
 
 def tangent_at_rest(scene: Scene, frames: Mapping[str, Frame], along: Sequence[Direction]) -> dict[str, np.ndarray]:
-    """Derivatives of every channel ``(..., n_parameters)`` at rest with the mounts at ``frames``, as told; others are
+    """Derivatives of every channel ``(..., n_parameters)`` at rest with the mounts at ``frames``, nominal; others are
     where the scene starts."""
     moved = motions(scene.rig, along)
     numbers = NumberSlopes(*slopes(scene, along))
     rollout = CoreRollout(scene, {}, np.zeros(1), NewtonSettings(), numbers, [moved])
     rollout.places = mount_row(with_offsets(scene.rig, {**scene.start, **frames}))[None]
     start = start_of(rollout, moved, len(along))
-    found = differentiated(rollout, along, start, None, keep_path=False, beside=None)[1]
+    found = differentiated(rollout, along, start, None, keep_path=False, warm_start=None)[1]
     return {channel: derivatives[0] for channel, derivatives in found.items()}
 
 
@@ -89,7 +89,7 @@ def differentiated(
     on_step: Callable[[int, int], None] | None,
     *,
     keep_path: bool,
-    beside: NodePath | None,
+    warm_start: NodePath | None,
     left: PermanentState | None = None,
 ) -> tuple[Trace, dict[str, np.ndarray]]:
     """Make a rollout, and read its trace and derivatives."""
@@ -111,7 +111,7 @@ def differentiated(
         tell(scene, rollout, chunk, on_step)
 
     take(rollout.settle(start if along else None, left))
-    for chunk in rollout.run(beside):
+    for chunk in rollout.run(warm_start):
         take(chunk)
     outputs = {c: np.concatenate([p[c] for p in parts]) for c in parts[0]}
     found = {c: np.concatenate([s[c] for s in changes]) for c in outputs}

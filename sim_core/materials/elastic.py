@@ -15,10 +15,10 @@ LEAST_RATIO, LARGEST_RATIO = -1.0, 0.5
 _TINY = 1e-30
 
 
-def poisson_ratios(owner: str, nu: float, beside: np.ndarray, thin: bool = False) -> np.ndarray:
-    """Poisson's ratio of each element of ``owner``, ``(m,)``: the one of all and what the element has beside it.
+def poisson_ratios(owner: str, nu: float, shift: np.ndarray, thin: bool = False) -> np.ndarray:
+    """Poisson's ratio of each element of ``owner``, ``(m,)``: the common one plus the ``shift`` of the element.
     ``thin``: in plane stress, where 0.5, of what keeps its volume, is a ratio like others."""
-    ratios = nu + beside
+    ratios = nu + shift
     most = ratios <= LARGEST_RATIO if thin else ratios < LARGEST_RATIO
     wrong = np.flatnonzero(~((ratios > LEAST_RATIO) & most))
     if len(wrong):

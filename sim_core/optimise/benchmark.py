@@ -190,11 +190,20 @@ HEADS = (
 def cells(row: Row) -> list[str]:
     """A row in words, in the order of :data:`HEADS`."""
     published = row.published
-    told = ["-", "-"] if published is None else [
+    figures = ["-", "-"] if published is None else [
         f"{100 * published.success_rate:.0f} %", f"{published.human:g}, {published.oracle:g}"
     ]  # fmt: skip
     if not row.made:
-        return [row.task, row.method, f"0 of {row.seeds}", "not run", "-", f"{row.least_reward:.4g}", *["-"] * 5, *told]
+        return [
+            row.task,
+            row.method,
+            f"0 of {row.seeds}",
+            "not run",
+            "-",
+            f"{row.least_reward:.4g}",
+            *["-"] * 5,
+            *figures,
+        ]
     rewards = np.array([r for r in row.rewards if np.isfinite(r)])
     spread = f" ± {rewards.std(ddof=1):.2g}" if len(rewards) > 1 else ""
     return [
@@ -209,7 +218,7 @@ def cells(row: Row) -> list[str]:
         f"{row.rollouts:.0f}",
         f"{row.cpu_s:.0f}",
         f"{row.check_s:.0f}",
-        *told,
+        *figures,
     ]
 
 

@@ -1,6 +1,6 @@
 """Ascent of the fitness along exact gradients, within the bounds.
 
-Rollouts that end early have no gradient. A line search that meets one is told a value that is worse than where it
+Rollouts that end early have no gradient. A line search that meets one is given a value that is worse than where it
 began, and goes a shorter way.
 """
 

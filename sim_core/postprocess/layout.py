@@ -81,9 +81,9 @@ def within(frame: Frame, placed: Frame) -> Frame:
 def lay_out(rig: Rig) -> Layout:
     """Mesh all bodies of a rig where they stand at the start, its effects on poses and sizes included."""
     rig = amended(rig)
-    told: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
-    told.update({n: (e.start.position(), e.start.rotation()) for n, e in rig.end_effectors.items()})
-    start = with_offsets(rig, told)
+    nominal: dict[str, Frame] = {WORLD: (np.zeros(3), Rotation.identity())}
+    nominal.update({n: (e.start.position(), e.start.rotation()) for n, e in rig.end_effectors.items()})
+    start = with_offsets(rig, nominal)
     bodies: dict[str, BuiltBody] = {}
     count = 0
     for name, spec in rig.bodies.items():

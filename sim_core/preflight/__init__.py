@@ -1,4 +1,4 @@
-"""What looks wrong in a rig, or in a motion on it, told in words before anything long runs.
+"""What looks wrong in a rig, or in a motion on it, reported in words before anything long runs.
 
 Everything here is geometry of the rig's file and of the commanded poses; nothing is simulated. What cannot be known
 without a simulation (how far a sheet sags, where a free body goes) gives no finding.

@@ -12,7 +12,7 @@ from sim_core.preflight.finding import Finding
 from sim_core.rigs import Gel
 
 NEARER = 0.05
-"""Share of the gel's smallest extent by which its bonded face must be nearer than the others to be told."""
+"""Share of the gel's smallest extent by which its bonded face must be nearer than the others to be reported."""
 
 
 def bond_findings(layout: Layout) -> list[Finding]:

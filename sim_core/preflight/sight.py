@@ -64,7 +64,7 @@ def out_of_picture(camera: Camera, optic: np.ndarray) -> np.ndarray:
 
 
 def _sideways(point: np.ndarray) -> str:
-    """How far a point in the optical frame [m] ``(3,)`` is beside the axis, in words."""
+    """How far a point in the optical frame [m] ``(3,)`` is off the axis, in words."""
     named = ((point[0], "right", "left"), (point[1], "down", "up"))
     least = 0.01 * float(np.linalg.norm(point))
     return " and ".join(f"{1e3 * abs(v):.3g} mm {a if v > 0.0 else b}" for v, a, b in named if abs(v) > least)

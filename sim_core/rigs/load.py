@@ -46,21 +46,21 @@ def names_in(kind: str) -> list[str]:
     return sorted(path.stem for path in (config_folder() / kind).glob("*.yaml"))
 
 
-def find_config(name_or_path: str | Path, kind: str, beside: Path | None = None) -> Path:
+def find_config(name_or_path: str | Path, kind: str, folder: Path | None = None) -> Path:
     """Path of a configuration file from a path, or from the name of one that comes with the package.
 
-    ``beside``: folder in which a relative path is looked up too.
+    ``folder``: folder in which a relative path is looked up too.
     """
     text = str(name_or_path)
     if not text.strip():
         raise ConfigError(f"The name of one of the {kind} is empty.", f"Known: {', '.join(names_in(kind))}.")
     given = Path(text).expanduser()
     if given.exists() or given.suffix in {".yaml", ".yml"} or len(given.parts) > 1:
-        if beside is not None and not given.is_absolute() and (beside / given).is_file():
-            return beside / given
+        if folder is not None and not given.is_absolute() and (folder / given).is_file():
+            return folder / given
         return given
-    if beside is not None and (beside / f"{text}.yaml").is_file():
-        return beside / f"{text}.yaml"
+    if folder is not None and (folder / f"{text}.yaml").is_file():
+        return folder / f"{text}.yaml"
     known = names_in(kind)
     if text not in known:
         raise ConfigError(
@@ -119,7 +119,7 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
         circle = " -> ".join(p.name for p in (*chain, resolved))
         raise ConfigError(f"{path}: overlay_of goes in a circle ({circle}).", "Name a rig that is no overlay.")
     overlay = validate(Overlay, data, str(path))
-    base = _load(find_config(overlay.overlay_of, "rigs", beside=path.parent), (*chain, resolved))
+    base = _load(find_config(overlay.overlay_of, "rigs", folder=path.parent), (*chain, resolved))
     try:
         rig = with_parameters(base, overlay.parameters)
     except ConfigError as error:
@@ -133,7 +133,7 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
 
 
 def _with_files(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The same with the paths of mesh files, which are told from the folder of the rig, made absolute."""
+    """The same with the paths of mesh files, which are relative to the folder of the rig, made absolute."""
     bodies = data.get("bodies")
     if not isinstance(bodies, dict):
         return data

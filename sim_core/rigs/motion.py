@@ -84,7 +84,7 @@ class _Moving(Strict):
         """A move with this motion's speed, profile and axes."""
         acceleration = None
         if self.profile == "trapezoidal":
-            # A tenth of a second to full speed unless told otherwise.
+            # A tenth of a second to full speed by default.
             acceleration = self.acceleration_m_s2 or self.speed_m_s / 0.1
         return Move(
             np.array(shift, dtype=np.float64),

@@ -31,7 +31,7 @@ from sim_core.rigs.pose_offset import Displaced, ShiftSds, TurnSds
 Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e4)]
 Latency = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10.0, le=10.0)]
 Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1e3)]
-"""Standard deviation of what is told, 0 where it is exact."""
+"""Standard deviation of the stated pose, 0 where it is exact."""
 SensorRange = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Focal = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
 Pixel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -117,7 +117,7 @@ ForceUnit = Literal["N", "mN", "gf", "kgf", "lbf"]
 """Of recorded forces, and of the forces in recorded torques."""
 
 LengthUnit = Literal["m", "mm"] | None
-"""Of recordings; what is written is believed, nothing is taken for m."""
+"""Of recordings; a unit that is written is used as it is, nothing is taken for m."""
 
 
 NEWTONS: Mapping[str, float] = {"N": 1.0, "mN": 1e-3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}

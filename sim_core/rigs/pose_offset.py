@@ -24,10 +24,10 @@ TurnSds = Annotated[tuple[_TurnSd, _TurnSd, _TurnSd], of_length(3)]
 
 
 class Displaced(Strict):
-    """Something whose pose is told with a constant error. With the pose (p, R) that is told, a shift rho and a rotation
+    """Something whose stated pose has a constant error. With the nominal pose (p, R), a shift rho and a rotation
     vector phi, both in its own axes,
 
-        T_true = T_told * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
+        T_true = T_nominal * (rho, exp phi):    p_true = p + R rho,    R_true = R exp(phi)
     """
 
     offset_x_m: Shift = Field(default=0.0, description="shift of the true pose along x")
@@ -38,12 +38,12 @@ class Displaced(Strict):
     offset_rz_deg: Turn = Field(default=0.0, description="turn of the true pose, after the shift, about z")
 
     def offset(self) -> FloatArray:
-        """Shift [m] and rotation vector [rad] of the true pose in the told one, ``(6,)``."""
+        """Shift [m] and rotation vector [rad] of the true pose in the nominal one, ``(6,)``."""
         turn = np.deg2rad([self.offset_rx_deg, self.offset_ry_deg, self.offset_rz_deg])
         return np.array([self.offset_x_m, self.offset_y_m, self.offset_z_m, *turn])
 
     def truly(self, origin: FloatArray, rotation: Rotation) -> tuple[FloatArray, Rotation]:
-        """The true pose from the one that is told: origin [m] ``(3,)`` and rotation. Without an offset these are the
+        """The true pose from the nominal one: origin [m] ``(3,)`` and rotation. Without an offset these are the
         very same objects."""
         offset = self.offset()
         if not offset.any():

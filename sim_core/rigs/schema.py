@@ -101,7 +101,7 @@ class PoseTopics(Strict):
     """Where the poses of an end effector are, in a bag and on a live system.
 
     ``length_unit`` and ``quaternion_order`` are for recordings that do not keep to m and x, y, z, w, or that look as if
-    they did not: what is written is believed.
+    they did not: what is written is used as it is.
     ``axes``, ``base`` and ``tool`` are for recordings of another frame, as where the flange was recorded: the pose is
     base * P_recorded * tool, with positions along ``axes`` first.
     ``tf``: parent and child frame of the transforms ``/tf`` and ``/tf_static`` that are the measured pose, for robots
@@ -124,9 +124,7 @@ class PoseTopics(Strict):
     axes: Axes = Field(
         default=("x", "y", "z"), description="axes of the base along which recorded positions x, y, z are"
     )
-    base: Pose = Field(
-        default=Pose(), description="pose, in the base frame, of the frame that recorded poses are told in"
-    )
+    base: Pose = Field(default=Pose(), description="pose, in the base frame, of the frame that recorded poses refer to")
     tool: Pose = Field(
         default=Pose(), description="pose of the end effector in the frame of the tool that recorded poses are of"
     )
@@ -136,10 +134,10 @@ class PoseTopics(Strict):
 
 
 class EndEffector(Displaced):
-    """Something that moves as it is told. Its start pose is in ``base_frame``, which is the world.
+    """Something that moves as commanded. Its start pose is in ``base_frame``, which is the world.
 
     ``offset_*``: where it really is, seen from where its poses say (a tool that is mounted askew). What it carries
-    follows the true pose (:mod:`sim_core.scene.offset`); start poses, commands and recordings are as told.
+    follows the true pose (:mod:`sim_core.scene.offset`); start poses, commands and recordings are nominal.
     ``offset_sd_*``: how well that is known, for fits, 0 exactly; usually as of a tool that is mounted by hand.
     ``ready``: where it waits before and after a motion, clear of everything; relative to its start pose along the
     axes of the base frame.

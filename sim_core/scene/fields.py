@@ -90,15 +90,15 @@ class Fields:
     nu is above -1 and below 0.5 everywhere, dampings are not below zero and the share that relaxes is in [0, 1), also
     when a rig with another number shifts or scales them (:meth:`check`).
     The thickness is that which stretches, bends and weighs; contact finds the surface where the rig's number puts it.
-    Rest angles are those of the shape at rest, but for what they were set to beside it: that difference stays when the
-    shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
+    Rest angles are those of the shape at rest, but for what they were set to in addition: that difference stays when
+    the shape changes. Shapes build the scene anew (:meth:`sim_core.scene.scene.Scene.reshape`).
     """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._shares: dict[str, np.ndarray] = {}
-        self._shifts: dict[str, np.ndarray] = {}  # beside the rig's number
-        self._creases: dict[str, np.ndarray] = {}  # rest angles beside those of the shape
+        self._shifts: dict[str, np.ndarray] = {}  # added to the rig's number
+        self._creases: dict[str, np.ndarray] = {}  # rest angles added to those of the shape
         self.changes = 0
         """How often values were set since the scene was built; arrays that are handed out are copies."""
 
@@ -137,7 +137,7 @@ class Fields:
             return np.array(self.bending(body).rest_angles)
         number = self._number(body, key)
         if key in SHIFTED:
-            return np.asarray(number + self._beside(body, key))
+            return np.asarray(number + self._shift_of(body, key))
         return np.asarray(number * self.share(body, self.quantity(body, key)))
 
     def __setitem__(self, name: str, values: np.ndarray | float) -> None:
@@ -175,10 +175,10 @@ class Fields:
 
     def check(self, rig: Rig) -> None:
         """Refuse a rig of the same geometry whose numbers would shift a field out of its bounds."""
-        for full, beside in self._shifts.items():
+        for full, shift in self._shifts.items():
             body, key = full.split(".")
             number = self._number(body, key, rig)
-            _check_values(full, number + beside, self._thin(body), number)
+            _check_values(full, number + shift, self._thin(body), number)
         for full, share in self._shares.items():
             body, _, quantity = full.partition(".")
             if quantity in [f"{branch}.share" for branch in self._branches(body)]:
@@ -228,9 +228,9 @@ class Fields:
         self._scene.reshape(body, rest)
         for name in self._changed():
             self._spread(name)
-        for name, beside in self._creases.items():
+        for name, change in self._creases.items():
             bending = self.bending(name)
-            bending.set_rest_angles(bending.built_angles + beside)
+            bending.set_rest_angles(bending.built_angles + change)
 
     def reset(self) -> None:
         """Back to the rig's numbers, and to its shapes at rest."""
@@ -290,9 +290,9 @@ class Fields:
         share = self._shares.get(f"{body}.{key}")
         return np.ones(len(elements(self._scene.bodies[body]))) if share is None else share
 
-    def _beside(self, body: str, key: str) -> np.ndarray:
-        beside = self._shifts.get(f"{body}.{key}")
-        return np.zeros(len(elements(self._scene.bodies[body]))) if beside is None else beside
+    def _shift_of(self, body: str, key: str) -> np.ndarray:
+        shift = self._shifts.get(f"{body}.{key}")
+        return np.zeros(len(elements(self._scene.bodies[body]))) if shift is None else shift
 
     def _spread(self, name: str) -> None:
         """Hand a body's factors, differences and shares on to its terms and its mass."""
@@ -300,14 +300,14 @@ class Fields:
         for term in body.terms:
             if isinstance(term, Membrane | Bending | NeoHookean):
                 term.scale(self.factor(name, term.name))
-                term.shift_nu(self._beside(name, NU))
-                term.shift_damping(self._beside(name, STIFFNESS_DAMPING))
+                term.shift_nu(self._shift_of(name, NU))
+                term.shift_damping(self._shift_of(name, STIFFNESS_DAMPING))
             if isinstance(term, Bending):
                 term.scale_flow(*(self.share(name, key) for key in FLOW))
             if isinstance(term, StrainLaws):
                 own = {q.name: f"{name}.{q.name}" for q in term.quantities if q.shares}
                 term.scale_numbers({q: self._shares[full] for q, full in own.items() if full in self._shares})
-        factor, more = self.factor(name, MASS), self._beside(name, MASS_DAMPING)
+        factor, more = self.factor(name, MASS), self._shift_of(name, MASS_DAMPING)
         body.unit_mass = mass_of(body, factor)
         self._scene.renew_mass(body, mass_of(body, factor * more) if more.any() else None)
 

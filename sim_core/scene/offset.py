@@ -1,4 +1,4 @@
-"""Where end effectors really are: a constant offset in their own frame against the poses that are told
+"""Where end effectors really are: a constant offset in their own frame against the nominal poses
 (:class:`sim_core.rigs.pose_offset.Displaced`).
 
 A mount that was measured wrongly, a tool that is clamped askew, and a calibration of the hand that is off are of this
@@ -22,7 +22,7 @@ SMALL_ANGLE = 1e-2
 
 
 def with_offsets(rig: Rig, frames: Mapping[str, Frame]) -> dict[str, Frame]:
-    """True frames of mounts from those that are told. One without an offset is the very same object."""
+    """True frames of mounts from the nominal ones. One without an offset is the very same object."""
     return {
         name: f if name not in rig.end_effectors or not rig.end_effectors[name].offset().any()
         else rig.end_effectors[name].truly(*f)

@@ -78,7 +78,7 @@ class Values:
 @dataclass(frozen=True)
 class Follower:
     """Nodes that follow a mount rigidly. ``local``: in the mount's frame [m], ``(k, 3)``; ``axes``: components that are
-    held, 1 or 0 ``(3,)``; others a mount may hold that is told of later."""
+    held, 1 or 0 ``(3,)``; others a mount may hold that is named later."""
 
     mount: str
     nodes: np.ndarray
@@ -99,7 +99,7 @@ class Scene:
         for name, effector in rig.end_effectors.items():
             self.start[name] = (effector.start.position(), effector.start.rotation())
         self.strained: set[str] = set()
-        """Sheets of which it was told that they are strained beyond the range of their law."""
+        """Sheets of which it was reported that they are strained beyond the range of their law."""
         self._build({})
         self.fields = Fields(self)
         """Material values, rest angles and shapes at rest that differ from node to node, element to element."""
@@ -392,7 +392,7 @@ class Scene:
             self._applied_mass = masses
 
     def renew_mass(self, body: BuiltBody, more_damping: sp.csr_matrix | None = None) -> None:
-        """Take over a ``unit_mass`` that was changed, and what damps beside it
+        """Take over a ``unit_mass`` that was changed, and what damps in addition
         (:meth:`sim_core.energies.mass_damping.MassDamping.set_unit_mass`)."""
         for term in body.terms:
             if isinstance(term, MassDamping) and body.unit_mass is not None:

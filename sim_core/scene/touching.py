@@ -103,7 +103,7 @@ def contact_with_rigid(name: str, a: BuiltBody, b: BuiltBody, rest: np.ndarray, 
 
 def _facet(body: BuiltBody, cell: float, core: Core) -> float:
     """Length [m] of flat pieces between neighbouring samples of a surface on a round shape, 0 where flat is true: so is
-    a sheet with cells that are coarse beside the shape, and lies on it with what is between its samples."""
+    a sheet with cells that are coarse compared with the shape, and lies on it with what is between its samples."""
     if isinstance(body.spec, Gel):
         return cell
     return 0.5 * cell if isinstance(body.spec, Sheet) and cell < core.offset else 0.0

@@ -61,12 +61,12 @@ def task_names() -> list[str]:
 
 
 def read_task(name_or_path: str | Path) -> Task:
-    """A task file, by the name of one that comes with the package or by its path. Rigs that it names are sought beside
+    """A task file, by the name of one that comes with the package or by its path. Rigs that it names are sought next to
     it first."""
     path = find_config(name_or_path, "tasks")
     task = validate(Task, read_mapping(path), str(path))
-    beside = {key: path.parent / name for key in ("rig", "target_rig") if (name := getattr(task, key))}
-    return task.model_copy(update={key: str(file) for key, file in beside.items() if file.is_file()})
+    local = {key: path.parent / name for key in ("rig", "target_rig") if (name := getattr(task, key))}
+    return task.model_copy(update={key: str(file) for key, file in local.items() if file.is_file()})
 
 
 def load_task(name: str, parameters: Mapping[str, float] | None = None) -> MadeTask:

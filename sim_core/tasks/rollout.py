@@ -171,7 +171,7 @@ class TaskRollouts:
         return self._reward(self.episode.seen(self._measure, self._finer))
 
     def successful(self, scored: Scored) -> bool:
-        """Whether a rollout with this reward is a success, as far as that can be told without
+        """Whether a rollout with this reward is a success, as far as that can be decided without
         :class:`sim_core.tasks.check.Checker`."""
         return scored.reward >= self.made.variant.success and scored.holds
 

@@ -95,7 +95,7 @@ class FoldLine(Strict):
 class Stop(Strict):
     """When a rollout ends early and does not count: a finger bears more than ``most_force_n`` or than its hand is
     allowed to; or, from the step ``touching_from`` of the actions on, no finger bears more than ``least_force_n``; or
-    the middle of observed points is not ``over`` a rigid body: beside it, or below its top."""
+    the middle of observed points is not ``over`` a rigid body: next to it, or below its top."""
 
     most_force_n: Positive = 10.0
     least_force_n: NonNegative = 0.0

@@ -75,17 +75,17 @@ def make_trajectory(
     back = retract(planned, times, came)
     effectors = {}
     for effector, path in planned.items():
-        told, hand = rig.end_effectors[effector], hands[effector]
+        effector_of_rig, hand = rig.end_effectors[effector], hands[effector]
         accuracy = hand.accuracy_m, hand.accuracy_rad
         near, turn = path_tolerances(path, list(prediction.wrenches.values()), accuracy)
         ways = [path.positions, *(p["end_effectors"][effector]["positions_m"] for p in (came, back) if p is not None)]
         effectors[effector] = {
-            "frame_id": told.base_frame,
+            "frame_id": effector_of_rig.base_frame,
             "positions_m": path.positions,
             "quaternions_xyzw": path.quaternions,
             "gripper_closing_m": (gripper_closing_m or {}).get(effector),
-            "target_topic": told.topics.target_pose,
-            "current_topic": told.topics.current_pose,
+            "target_topic": effector_of_rig.topics.target_pose,
+            "current_topic": effector_of_rig.topics.current_pose,
             "limits": _of_a_hand(hand, np.vstack(ways), near, limits or Limits()),
             "tolerance_m": near,
             "tolerance_rad": turn,
@@ -124,8 +124,8 @@ def bounded(trajectory: Trajectory, rig: Rig | None = None) -> Trajectory:
             effectors[name] = path
             continue
         own = hand.limits().model_copy(update={"max_force_n": None, "max_torque_nm": None})
-        told = {"limits": path.limits.stricter(own), "max_lag_s": path.max_lag_s or hand.max_lag_s}
-        effectors[name] = path.model_copy(update=told)
+        stricter = {"limits": path.limits.stricter(own), "max_lag_s": path.max_lag_s or hand.max_lag_s}
+        effectors[name] = path.model_copy(update=stricter)
         carried = Limits(max_force_n=hand.max_force_n, max_torque_nm=hand.max_torque_nm)
         limits = limits.stricter(carried)
     return trajectory.model_copy(update={"end_effectors": effectors, "limits": limits})

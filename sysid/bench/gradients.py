@@ -1,5 +1,5 @@
 """The adjoint on the workload of :mod:`sysid.bench.forming`, and on a strip that is shaken: what going back costs
-beside going forwards, and the memory of a tape.
+compared with going forwards, and the memory of a tape.
 
 The loss is a sum of all readings at all times with random weights. Times are those of the processor; everything is done
 three times, one thing after the other, and the shortest times count.

@@ -1,4 +1,4 @@
-"""Options that are numbers with bounds. What cannot be used is told as everywhere: value, bound, remedy."""
+"""Options that are numbers with bounds. What cannot be used is reported as everywhere: value, bound, remedy."""
 
 from __future__ import annotations
 

@@ -28,17 +28,17 @@ def experiments(
     """
     from sim_core.errors import ConfigError
     from sim_core.rigs.motion import load_experiment
-    from sysid.report.experiments_page import by_rig, identifying, page_beside, write_experiments
+    from sysid.report.experiments_page import by_rig, identifying, page_path, write_experiments
 
     found = [load_experiment(name) for name in chosen or []] or identifying()
     by_rig(found)
     check_new(out, "folder")
-    beside = page_beside(out)
-    if page and beside.exists():
-        raise ConfigError(f"The page {beside} already exists.", "Remove it, or name another folder with --out.")
+    page_file = page_path(out)
+    if page and page_file.exists():
+        raise ConfigError(f"The page {page_file} already exists.", "Remove it, or name another folder with --out.")
     command = " ".join(["thinshell experiments", *(chosen or []), f"--out {out} --page"])
     with progress("experiments") as report:
         write_experiments(found, out, page, command, report)
     print(f"Pictures: {out}")
     if page:
-        print(f"Page: {beside}")
+        print(f"Page: {page_file}")

@@ -41,7 +41,7 @@ NuisanceOption = Annotated[
     typer.Option(
         "--nuisance",
         metavar="A,B",
-        help="What is estimated beside: time (offset of each stream), bias (of wrenches), camera (scale and centre), "
+        help="What is estimated as well: time (offset of each stream), bias (of wrenches), camera (scale and centre), "
         "pose (offset of each end effector); all, or none.",
     ),
 ]

@@ -43,7 +43,7 @@ class TimeLeft:
     def __init__(self) -> None:
         self._done = [(0.0, 0.0)]
 
-    def told(self, now: float, share: float) -> None:
+    def update(self, now: float, share: float) -> None:
         """So much is done."""
         if share > self._done[-1][1]:
             self._done.append((now, share))
@@ -110,7 +110,7 @@ def _bar(title: str, timed: bool) -> Iterator[ProgressCallback]:
 
         def report(share: float, text: str) -> None:
             now = time.monotonic() - started
-            clock.told(now, share)
+            clock.update(now, share)
             bar.update(task, completed=share, words=text, left=_left(clock.seconds(now) if timed else None, share))
 
         yield report
@@ -131,7 +131,7 @@ class Lines:
         with self._lock:
             now = self._clock()
             self._share, self._text = share, text
-            self._left.told(now - self._started, share)
+            self._left.update(now - self._started, share)
             if int(10 * share) > self._tenth or now - self._heard >= SILENCE_S:
                 self._say(now)
 
@@ -172,7 +172,7 @@ def interrupts_remembered() -> Iterator[None]:
 
 
 @contextmanager
-def interrupts_told(words: str) -> Iterator[Event]:
+def interrupts_reported(words: str) -> Iterator[Event]:
     """Ctrl-C within the block is answered with ``words`` on stderr and sets the event, before it does anything. Pressed
     a second time, while what was found is written, it does nothing but that."""
     pressed = Event()

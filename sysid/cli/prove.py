@@ -40,7 +40,7 @@ def make(
     ] = "bench,strip,gel",
     fast: FastOption = False,
 ) -> None:
-    """Simulate recordings with concealed effects; the truth is sealed beside them."""
+    """Simulate recordings with concealed effects; the truth is sealed next to them."""
     chosen = parse_names(rigs, "--rigs", "strip,gel")
     for word in chosen:
         _check_word(word, "--rigs", RIGS)
@@ -104,7 +104,7 @@ def score(folder: CasesFolder) -> None:
 
 @app.command("keep")
 def keep(folder: CasesFolder, out: FolderOption) -> None:
-    """Copy seal, truth, answers and score of a scored shard, without recordings and reports."""
+    """Copy seal, truth, verdicts and score of a scored shard, without recordings and reports."""
     _check_cases(folder)
     check_new(out, "folder")
     print(library("sysid.proof", "keep_shard")(folder, out))

@@ -1,4 +1,4 @@
-"""``thinshell validate``: physics with known answers."""
+"""``thinshell validate``: physics with known solutions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def validate(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
-    """Compare the simulator with problems whose answers are known; exit code 1 if one is missed."""
+    """Compare the simulator with problems whose solutions are known; exit code 1 if one is missed."""
     with progress("validate") as report:
         passed, text = library("sysid.validation", "run_validation")(
             as_json=as_json, on_progress=report, groups=groups or ()

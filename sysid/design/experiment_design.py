@@ -105,7 +105,7 @@ def plan_experiments(
     nuisance: Collection[str] = KINDS,
 ) -> Plan:
     """What ``experiments`` on ``rig`` would tell about the parameters ``names``, one by one and together,
-    with the nuisances that a fit estimates beside them (:func:`sysid.model.nuisance_parameters.checked_kinds`).
+    with the nuisances that a fit estimates with them (:func:`sysid.model.nuisance_parameters.checked_kinds`).
 
     Raises ``ConfigError`` for unknown parameters and for sensors that declare no noise, ``ConvergenceError`` where an
     experiment cannot be simulated.
@@ -253,10 +253,10 @@ def _table(outlook: Outlook) -> str:
     lines = [title, f"{'parameter':<34}{'value':>13}  {'expected 95 % interval':<27}{'unit':<8}{'sd':<12}from"]
     for e in outlook.parameters:
         low, high = e.ci95
-        told = f"{low:.5g} .. {high:.5g}" if e.determined else "not determined"
+        in_words = f"{low:.5g} .. {high:.5g}" if e.determined else "not determined"
         sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in e.from_channels.items() if s > WORTH_NAMING)
         lines.append(
-            f"{e.name:<34}{e.value:>13.5g}  {told:<27}{e.unit:<8}{e.spread():<12}"
+            f"{e.name:<34}{e.value:>13.5g}  {in_words:<27}{e.unit:<8}{e.spread():<12}"
             f"{sources if e.determined else ''}".rstrip()
         )
     return "\n".join([*lines, *outlook.sentences])

@@ -10,7 +10,7 @@ moves it by a third (:mod:`sysid.discretisation.gel_extent`), and finite element
 from boundary elements of a layer without end, so that b_e of the motion of markers on a gel is 0.1 about 0.
 
 Poses are known to within their noise only. Where the motion really was lies about the smooth curve that a rollout
-follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings answers to that by more than the noise of its markers.
+follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings responds to that by more than the noise of its markers.
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
 b ~ N(0, 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of

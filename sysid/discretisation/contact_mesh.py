@@ -1,10 +1,10 @@
 """Finer cells of gels where rigid bodies touch them in recordings, and the error of the mesh from the coarser rig.
 
-A contact is told from where points of the gel's undeformed surface would be inside the rigid body along the recorded
-poses. Those of a sphere reach out to sqrt(2 R delta), the contact on a deep gel to a = sqrt(R delta) (Hertz), so what
-is touched is nearer to the middle by sqrt(2) there. Cells that reach into the box around all that is touched get edges
-of at most ``DISCRETISATION.edge_over_contact_radius`` times its half width a. The mesh of the rig is then the coarser
-of two, and with readings y, edges H of it and h,
+A contact is recognised by where points of the gel's undeformed surface would be inside the rigid body along the
+recorded poses. Those of a sphere reach out to sqrt(2 R delta), the contact on a deep gel to a = sqrt(R delta) (Hertz),
+so what is touched is nearer to the middle by sqrt(2) there. Cells that reach into the box around all that is touched
+get edges of at most ``DISCRETISATION.edge_over_contact_radius`` times its half width a. The mesh of the rig is then the
+coarser of two, and with readings y, edges H of it and h,
 
     y* - y_h = (y_h - y_H) / ((H / h)^2 - 1)
 

@@ -1,4 +1,4 @@
-"""Fits beside the discretisation error, which is measured by refinement where the fit stands.
+"""Fits that allow for the discretisation error, which is measured by refinement where the fit stands.
 
 The error of mesh and time step depends on the parameters, and the best parameters on what is taken for
 error, so both are found in turns: measure at theta_k, fit, measure at theta_{k+1}. Such turns creep where
@@ -7,7 +7,7 @@ refined simulations are therefore differentiated as well, and the fit uses
 
     d(theta) = d(theta_k) + D (theta - theta_k),    D = d'(theta_k),
 
-within ``DISCRETISATION.slopes_reach`` of where they were measured. What the next measurement shows beside that is
+within ``DISCRETISATION.slopes_reach`` of where they were measured. What the next measurement shows apart from that is
 unforeseen: the refined simulation snaps over a moment earlier or later than before. Readings are weighed down by it
 there (:meth:`sysid.solve.discretisation_basis.ErrorShape.following`), or turns would go on from one side to the other.
 Far from the solution, where a search is to be followed by another one anyway, derivatives say little of where that will
@@ -46,13 +46,13 @@ Minimise = Callable[[Problem, np.ndarray], Fitted]
 
 
 class Unmeasured(ThinshellError):
-    """The error of mesh and time step cannot be measured where a search has ended, with the problem beside the error
+    """The error of mesh and time step cannot be measured where a search has ended, with the problem that has the error
     measured before and what was found, as not converged."""
 
-    def __init__(self, cause: ThinshellError, beside: Problem, fitted: Fitted) -> None:
+    def __init__(self, cause: ThinshellError, last_problem: Problem, fitted: Fitted) -> None:
         super().__init__(cause.problem, cause.remedy)
         end_unconverged(fitted, cause, "it stands where its discretisation error is not known")
-        self.beside, self.fitted = beside, fitted
+        self.last_problem, self.fitted = last_problem, fitted
 
 
 def discretisation(
@@ -155,7 +155,7 @@ def _error(refined: dict[str, np.ndarray], base: dict[str, np.ndarray], order: i
     return {c: np.where(np.isfinite(d), d, 0.0) for c, d in found.items()}
 
 
-def fit_beside_discretisation(
+def fit_with_discretisation_error(
     engine: AnyEngine,
     runs: Sequence[Run],
     noise: dict[str, ChannelNoise],
@@ -176,7 +176,7 @@ def fit_beside_discretisation(
     A search that came so far that the error is another one (``Fitted.elsewhere``) is followed by another round.
     ``Fitted.converged`` is false, and its message says so, when the rounds ended before both settled.
     Once a search has ended, Ctrl-C, a later search that fails, and a limit to the evaluations of ``search`` keep the
-    best so far, beside the error last measured. Raises :class:`Unmeasured` where the error cannot be measured where a
+    best so far, with the error last measured. Raises :class:`Unmeasured` where the error cannot be measured where a
     search has ended.
     """
     scaled = start_of(rig, parameters) if start is None else np.asarray(start, dtype=float)
@@ -196,7 +196,7 @@ def fit_beside_discretisation(
             if known is None:
                 raise
             end_unconverged(
-                known, error, "it was not searched on beside the error of mesh and time step where it stands"
+                known, error, "the search did not go on with the error of mesh and time step where it stands"
             )
             return problem, _counted(known, evaluations)
         evaluations += fitted.evaluations

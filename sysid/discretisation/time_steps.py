@@ -1,7 +1,7 @@
 """Steps of the solver where the readings change: short ones in fast motion, the rig's own elsewhere.
 
 Readings between two steps are interpolated linearly. Where nothing has inertia, the error of that is most of the error
-of the time step, and it is local: it is told by one more step halfway,
+of the time step, and it is local: it shows in one more step halfway,
 
     e = y(t_1/2) - (y(t_0) + y(t_1)) / 2.
 
@@ -82,8 +82,9 @@ def _all_halved(rig: Rig, run: Run) -> np.ndarray:
 
 
 def _changes(run: Run, one: Prediction, other: Prediction, noise: dict[str, ChannelNoise]) -> float:
-    """Change of the readings over the noise, of the quantity that changes most. Vibrations are told by how markers move
-    against each other: what all of a picture have in common by a shaking camera hides them no more than one."""
+    """Change of the readings over the noise, of the quantity that changes most. Vibrations are recognised by how
+    markers move against each other: what all of a picture have in common by a shaking camera hides them no more than
+    one."""
     most = 0.0
     for m in run.measured:
         sigma = noise[m.channel].own.sigma

@@ -1,7 +1,7 @@
 """How often 95 % intervals hold the truth: the function behind ``thinshell coverage``.
 
 Each case draws true values and, independently, values to start from; simulates the experiments with the true ones,
-on a finer mesh with a shorter step, with the noise that the rig declares and with what nobody tells (offsets in time,
+on a finer mesh with a shorter step, with the noise that the rig declares and with nuisances (offsets in time,
 biases of wrenches, cameras that are off) drawn from the priors that a fit has of it; fits; and looks whether the truth
 is inside the interval that the curvature at the best fit gives, without the look along the likelihood that ``thinshell
 fit`` takes as well. Cases are numbered, so that any of them can be run again by itself; one process a core.

@@ -15,7 +15,7 @@ from sim_core.rigs import Rig
 from sysid.discretisation.refinement import (
     Unmeasured,
     error_sizes,
-    fit_beside_discretisation,
+    fit_with_discretisation_error,
     large_discretisation_errors,
     unresolved_quantities,
 )
@@ -79,7 +79,7 @@ def fit_runs(
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
 
     Of what each bag has for itself that rig has the mean. ``held_out``: scored with all readings, also those that are
-    left out of fits; ``engine``: threads at hand, for several fits in a row; ``on_step``: told after each
+    left out of fits; ``engine``: threads at hand, for several fits in a row; ``on_step``: called after each
     evaluation. Raises ``RecordingError`` where two runs have readings in common.
     """
     check_apart(runs, held_out)
@@ -102,12 +102,12 @@ def _forward(on_progress: Progress | None) -> Progress | None:
         return None
     tell, done = on_progress, 0.0
 
-    def told(share: float, text: str) -> None:
+    def report(share: float, text: str) -> None:
         nonlocal done
         done = max(done, share)
         tell(done, text)
 
-    return told
+    return report
 
 
 def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, float | str]:
@@ -129,9 +129,9 @@ def _fit_runs(
     evaluations: Evaluations,
     on_progress: Progress | None,
 ) -> tuple[FitResult, Rig]:
-    beside = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
+    allowed_for = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
     bias = bool(asked) and has_bias(rig, runs, asked, options.kinds)
-    parameters = [*asked, *beside]
+    parameters = [*asked, *allowed_for]
     started = time.monotonic()
     as_given = [engine.submit(rig, run) for run in runs]
     first = start_of(rig, parameters)
@@ -157,8 +157,10 @@ def _fit_runs(
         fields = marker_fields(problem, before, fitted, held_out=False)
         sentences, left = [f.sentence for f in found.findings], unexplained(problem, fitted)
         open_ended = names_undetermined(found.findings)
-        told = {run.unlike for run in runs if left}
-        notes = [of_recording(run.name, note) for run in [*runs, *held_out] for note in run.notes if note not in told]
+        mentioned = {run.unlike for run in runs if left}
+        notes = [
+            of_recording(run.name, note) for run in [*runs, *held_out] for note in run.notes if note not in mentioned
+        ]
         notes += bounds_cut(rig, list(dict.fromkeys(p.target for p in asked)), options.bounds)
         notes += [
             f"What was known of {p.name} before: {p.physical(at):g} +- "
@@ -211,7 +213,7 @@ def _fit_runs(
             seconds=time.monotonic() - started,
             noise={c: _shown([*runs, *held_out], c, n) for c, n in problem.noise.items()},
             notes=notes,
-            provenance=provenance(rig, list(runs), list(held_out), options.seed, options.told()),
+            provenance=provenance(rig, list(runs), list(held_out), options.seed, options.to_json()),
             series=series + [one for score in scores for one in score.series],
             marker_fields=fields + [one for score in scores for one in score.marker_fields],
             nuisances=nuisances,
@@ -254,7 +256,8 @@ def _at_given(found: _Found, stays: Fitted, first: np.ndarray) -> _Found:
     profiles = [replace(p, value=values[p.name]) for p in found.profiles if p.limited]
     profiles = [p for p in profiles if p.ci95[0] <= p.value <= p.ci95[1]]
     return replace(
-        found, fitted=stays, estimates=estimates, correlation=correlation, findings=_beside(stays, findings, profiles),
+        found, fitted=stays, estimates=estimates, correlation=correlation,
+        findings=_with_profiles(stays, findings, profiles),
         reduced_chi2=reduced, profiles=profiles, contradicted=[],
     )  # fmt: skip
 
@@ -279,7 +282,7 @@ def _searched(
     at = first
     for left in reversed(range(FIT.interval_looks)):
         try:
-            look, problem, fitted = _fit_beside_mistakes(
+            look, problem, fitted = _fit_without_outliers(
                 engine, rig, parameters, look, at, runs=runs, robust=options.robust, bias=bias, search=search
             )
         except ENDS_EARLY as error:
@@ -316,8 +319,8 @@ def _searched(
             )
             break
         at, look = better, replace(look, plain=None)
-    told = list(against.values())
-    return _Found(look, problem, fitted, estimates, correlation, findings, reduced, profiles, told)
+    conflicts = list(against.values())
+    return _Found(look, problem, fitted, estimates, correlation, findings, reduced, profiles, conflicts)
 
 
 @dataclass(frozen=True)
@@ -330,7 +333,7 @@ class _Look:
     plain: list[Prediction] | None
 
 
-def _fit_beside_mistakes(
+def _fit_without_outliers(
     engine: AnyEngine,
     rig: Rig,
     parameters: Sequence[FitParameter],
@@ -348,30 +351,30 @@ def _fit_beside_mistakes(
     for left in reversed(range(FIT.outlier_looks)):
         noise = channel_noise(rig, look.runs, look.held_out)
         try:
-            problem, fitted = fit_beside_discretisation(
+            problem, fitted = fit_with_discretisation_error(
                 engine, look.runs, noise, rig, parameters, start=at, plain=look.plain, bias=bias, search=search
             )
         except Unmeasured as error:
-            problem, fitted, left = error.beside, error.fitted, 0
+            problem, fitted, left = error.last_problem, error.fitted, 0
         except ENDS_EARLY as error:
             if ended is None:
                 raise
             look, problem, fitted = ended
-            end_unconverged(fitted, error, "it was not repeated without the readings that are mistakes beside it")
+            end_unconverged(fitted, error, "it was not repeated without its outliers")
             break
         ended = look, problem, fitted
         if not robust or not left or fitted.cut_short:
             break
-        again, told = without_outliers(runs, fitted.predictions, noise)
+        again, excluded = without_outliers(runs, fitted.predictions, noise)
         if not worth_another_fit(look.runs, again):
             break
-        look = replace(look, runs=again, outliers=told, plain=fitted.predictions)
+        look = replace(look, runs=again, outliers=excluded, plain=fitted.predictions)
         at = fitted.scaled
     return look, problem, fitted
 
 
 def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run]) -> _Look:
-    """The runs without what are mistakes beside the rig that a fit starts from; as they are where it cannot follow."""
+    """The runs without the outliers under the rig that a fit starts from; as they are where it cannot follow."""
     if not any(m.kind in (*DIMENSIONS, WRENCH) for run in runs for m in run.measured):
         return _Look(list(runs), list(held_out), [], None)
     pending = [(run, engine.submit(rig, run)) for run in [*runs, *held_out]]
@@ -385,15 +388,15 @@ def _first_look(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequ
         except ThinshellError:
             clean.append(run)
             continue
-        found, told = without_outliers([run], [prediction], noise)
+        found, excluded = without_outliers([run], [prediction], noise)
         clean += found
         if k < len(runs):
-            outliers += told
+            outliers += excluded
             plain.append(prediction)
     return _Look(clean[: len(runs)], clean[len(runs) :], outliers, plain if len(plain) == len(runs) else None)
 
 
-def _beside(fitted: Fitted, findings: Sequence[Finding], profiles: Sequence[Profile]) -> list[Finding]:
+def _with_profiles(fitted: Fitted, findings: Sequence[Finding], profiles: Sequence[Profile]) -> list[Finding]:
     """The findings, and what profiles say, which takes the place of some."""
     said = [p for p in profiles if p.sentence]
     known = {q.name for q in fitted.parameters if q.known_sd is not None}
@@ -437,7 +440,7 @@ def _profiled(
     else:
         profiles = profiler.profiles()
         better = profiler.lower()
-        findings = [*findings, Finding(better)] if better else _beside(fitted, findings, profiles)
+        findings = [*findings, Finding(better)] if better else _with_profiles(fitted, findings, profiles)
     if profiler.interrupted:
         return (
             profiles,

@@ -106,8 +106,8 @@ class _Back:
         """V^T D ``(v, p)`` at a fit."""
         p = len(self._width)
         rows = np.vstack([self._weighed(fitted, fitted.jacobian) * self._width, np.zeros((p, p))])
-        _, told, directions = np.linalg.svd(rows, full_matrices=False)
-        return directions[told < 1.0 / SOLVE.undetermined_share] * np.where(self._free, 1.0 / self._width, 0.0)
+        _, singular, directions = np.linalg.svd(rows, full_matrices=False)
+        return directions[singular < 1.0 / SOLVE.undetermined_share] * np.where(self._free, 1.0 / self._width, 0.0)
 
     def _along(self, best: Fitted, step: np.ndarray, pull: np.ndarray) -> Fitted | None:
         """The first point on a step that is better; None if there is none."""

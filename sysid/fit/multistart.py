@@ -1,15 +1,16 @@
 """From where a fit is searched for: from the rig's values, from others if that is asked for, and again from near the
 best while it is not good.
 
-Where contacts stick and slide the misfit has several minima. Starts beside the rig's own are chosen once by the data:
-the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit best are
-searched from. Restarts are for
+Where contacts stick and slide the misfit has several minima. Starts other than the rig's own are chosen once by the
+data: the parameters that are asked for are drawn on a Latin hypercube over their plausible range, and those that fit
+best are searched from. Restarts are for
 kinks, on which a search can end although the misfit falls on the other side; they stand close to the best so far.
 There are a few in all, and none any more once one of them has brought nothing.
 
 What the discretisation error is where a fit begins says little of what it is where it ends: a slack sheet buckles in
-one place and not in another. While a search beside it brings chi-square down by more than half there is nothing to be
-made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it stands.
+one place and not in another. While another search near it brings chi-square down by more than half there is nothing to
+be made of what it leaves. It ends when it comes on slowly, and goes on when the error has been measured where it
+stands.
 
 Where an end effector really is decides whether a sheet between two of them hangs or is taut, and which way it buckles.
 A fit that leaves more than noise in any quantity is therefore tried again from other offsets of the end effectors, if
@@ -161,8 +162,8 @@ class Searches:
         return found
 
     def _from_elsewhere(self, problem: Problem, at: np.ndarray, first: Fitted) -> Fitted:
-        """The best of searches from the starts that were asked for beside the rig's, which is kept unless another has
-        ended where the fit is better by more than chance."""
+        """The best of searches from the starts that were asked for in addition to the rig's, which is kept unless
+        another has ended where the fit is better by more than chance."""
         self._found, self._begun, best = [first], [at], first
         for start in self._drawn(problem, at, first):
             if not self._may_go_on(best):
@@ -173,7 +174,7 @@ class Searches:
                 continue
             self._found.append(other)
             self._begun.append(start)
-            mine, others = best.beside(other)
+            mine, others = best.common_chi2(other)
             if mine - others > FIT.same_chi2 * overdispersion(best):
                 best = other
         return best
@@ -218,7 +219,7 @@ class Searches:
             again = self._tried(problem, start, fitted)
             if again is None:
                 break
-            known, new = fitted.beside(again)
+            known, new = fitted.common_chi2(again)
             if new >= known:
                 break
             left, now = worst(problem, fitted), worst(problem, again)
@@ -239,7 +240,7 @@ class Searches:
         while self._restarts and self._may_go_on(fitted) and fitted.misfit >= UNCERTAINTY.good_misfit:
             near = fitted.scaled + FIT.restart_width * width * self._rng.standard_normal(len(width))
             again = self._tried(problem, near, fitted)
-            known, new = (1.0, np.inf) if again is None else fitted.beside(again)
+            known, new = (1.0, np.inf) if again is None else fitted.common_chi2(again)
             self._restarts = self._restarts - 1 if again is None or new < FIT.better_chi2_ratio * known else 0
             fitted = again if again is not None and new < known else fitted
         return fitted
@@ -261,11 +262,11 @@ def _said(begun: Sequence[np.ndarray], found: Sequence[Fitted], failed: int) -> 
     """Compares searches among themselves: what is taken for error of the simulator changes afterwards."""
     best = found[0]
     for other in found[1:]:
-        mine, others = best.beside(other)
+        mine, others = best.common_chi2(other)
         best = other if others < mine else best
     asked = np.array([not p.nuisance for p in best.parameters])
     sd = np.where(asked, uncertainty(best).sd, np.inf)
-    beyond = [np.subtract(*f.beside(best)) for f in found]
+    beyond = [np.subtract(*f.common_chi2(best)) for f in found]
     as_good = [f for f, more in zip(found, beyond, strict=True) if more <= FIT.same_chi2 * overdispersion(best)]
     apart = [f for f in as_good if np.any(np.abs(f.scaled - best.scaled) > FIT.same_place_sd * sd)]
     sentences = [f"Of searches from {len(found) + failed} starts {len(as_good)} ended equally well."]

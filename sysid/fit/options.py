@@ -12,14 +12,14 @@ from sysid.model.nuisance_parameters import KINDS, checked_kinds
 
 Intervals = Literal["quadratic", "checked", "profiled"]
 """Intervals from the covariance alone; with a simulation at each end that tells whether they hold; or those of the
-profile likelihood beside them (:mod:`sysid.uncertainty.profiler`)."""
+profile likelihood in addition (:mod:`sysid.uncertainty.profiler`)."""
 
 
 @dataclass(frozen=True)
 class FitOptions:
     """Choices of a fit, checked. Raises ``ConfigError``.
 
-    ``nuisance``: kinds of nuisances that are estimated beside what is asked for
+    ``nuisance``: kinds of nuisances that are estimated with what is asked for
     (:func:`sysid.model.nuisance_parameters.checked_kinds`);
     ``per_bag``: parameters that each run has a value of its own of, named ``friction[run]``;
     ``bounds``: lowest and highest value of parameters by name, in their own units, within those that a fit has anyway;
@@ -67,7 +67,7 @@ class FitOptions:
         if self.seed < 0:
             raise ConfigError(f"The seed is {self.seed}.", "Give a number that is not negative.")
 
-    def told(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """What was chosen, as JSON, but for the seed; None: no bound on that side."""
         chosen = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "seed"}
         bounds = {name: [b if math.isfinite(b) else None for b in pair] for name, pair in self.bounds.items()}

@@ -32,7 +32,7 @@ LOOK_FIRST = (
     "What is said of clocks, cameras, biases and end effectors can also make up for a parameter that is fixed at a "
     "wrong value, or for physics that the rig lacks: check it on the robot before it goes into the rig."
 )
-"""Beside what a fit says to write into a rig."""
+"""Next to what a fit says to write into a rig."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def not_converged(message: str) -> str:
 class FitResult:
     """Everything that a fit found. ``misfit``: mean squared whitened residual
     (:attr:`sysid.solve.optimum.Fitted.misfit`); ``reduced_chi2``: the same sum over degrees of freedom;
-    ``evaluations``: of all searches; ``nuisances``: what was estimated beside what was asked for; ``profiles``:
+    ``evaluations``: of all searches; ``nuisances``: what was estimated with what was asked for; ``profiles``:
     deviance against each parameter, where that was asked for (:mod:`sysid.uncertainty.profiler`); ``outliers``:
     readings that were left out (:mod:`sysid.solve.outliers`); ``unexplained``: in which quantities more than noise is
     left, in words (:mod:`sysid.uncertainty.goodness_of_fit`); ``contradicted``: what was known before and the
@@ -195,12 +195,12 @@ class FitResult:
 
     def _nuisance_table(self) -> list[str]:
         """What the data tell of nuisances, as text."""
-        told = [n for n in self.nuisances if n.told]
-        known = {n.name for n in told}
-        vague = [n for n in self.nuisances if not n.told and not n.bias]
+        informed = [n for n in self.nuisances if n.informed]
+        known = {n.name for n in informed}
+        vague = [n for n in self.nuisances if not n.informed and not n.bias]
         rest = list(dict.fromkeys(n.name + (f" in {n.run}" if n.name in known else "") for n in vague))
-        lines = [f"{'estimated beside them':<34}{'value':>13}  {'95 % interval':<30}unit"] if told else []
-        for n in told:
+        lines = [f"{'estimated with them':<34}{'value':>13}  {'95 % interval':<30}unit"] if informed else []
+        for n in informed:
             low, high = n.ci95
             run = f"  {n.run}" if n.run else ""
             lines.append(f"{n.name:<34}{n.value:>13.6g}  {f'{low:.6g} .. {high:.6g}':<30}{n.unit}{run}")

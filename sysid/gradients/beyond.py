@@ -241,13 +241,13 @@ class StateGradients:
     def _moved(self, mount: str, move: np.ndarray, share: float) -> Trace:
         """The rollout with the true poses of an end effector moved in their own frames, ``move`` ``(n_times, 6)``."""
         positions, quaternions = self._poses[mount].sample(self._times)
-        told = Rotation.from_quat(quaternions)
+        nominal = Rotation.from_quat(quaternions)
         offset = amended(self._rig).end_effectors[mount].offset()
-        beside = Rotation.from_rotvec(offset[3:])
-        true = told * beside
+        offset_turn = Rotation.from_rotvec(offset[3:])
+        true = nominal * offset_turn
         turned = true * Rotation.from_rotvec(share * move[:, 3:])
-        places = positions + told.apply(offset[:3]) + true.apply(share * move[:, :3])
-        back = turned * beside.inv()
+        places = positions + nominal.apply(offset[:3]) + true.apply(share * move[:, :3])
+        back = turned * offset_turn.inv()
         there = PoseTrajectory(self._times, places - back.apply(offset[:3]), back.as_quat())
         return self._rolled({**self._poses, mount: there})
 

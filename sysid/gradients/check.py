@@ -30,7 +30,7 @@ UNJUDGED = {
     "no effect": "without effect",
     "negligible": "of negligible effect",
     "unresolved": "hidden by round-off",
-    "jumps": "beside a jump",
+    "jumps": "next to a jump",
 }
 """Verdicts of rows that are not judged, in words."""
 
@@ -112,8 +112,8 @@ def _resolved(rig: Rig, name: str) -> str:
 
 
 def _as_json(rows: Sequence[Row], steps: Sequence[float], passed: bool) -> str:
-    told = [{key: _number(value) for key, value in asdict(row).items()} for row in rows]
-    return json.dumps({"passed": passed, "steps": list(steps), "rows": told}, indent=2, allow_nan=False)
+    listed = [{key: _number(value) for key, value in asdict(row).items()} for row in rows]
+    return json.dumps({"passed": passed, "steps": list(steps), "rows": listed}, indent=2, allow_nan=False)
 
 
 def _number(value: Any) -> Any:
@@ -179,7 +179,7 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
     judged = [r for r in rows if r.verdict not in UNJUDGED]
     names = {r.parameter for r in judged}.union(idle)
     lines += [
-        f"{name} is judged in no channel: its effects are negligible beside those of others, or hidden."
+        f"{name} is judged in no channel: its effects are negligible compared with those of others, or hidden."
         for name in dict.fromkeys(r.parameter for r in rows)
         if name not in names
     ]
@@ -187,7 +187,7 @@ def _as_text(rows: Sequence[Row], steps: Sequence[float]) -> str:
         worst_of_all = max(judged, key=lambda r: r.best if np.isfinite(r.best) else np.inf)
         lines.append(
             f"{sum(r.verdict == 'agrees' for r in judged)} of {len(judged)} judged rows agree; the largest error is "
-            f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint beside "
+            f"{worst_of_all.best:.1e} ({worst_of_all.parameter}, {worst_of_all.channel}), that of the adjoint against "
             f"forward sensitivities {max((r.adjoint for r in judged if r.adjoint is not None), default=0.0):.0e}. "
             f"{_unjudged(rows)}"
         )

@@ -111,7 +111,7 @@ def _constant(steps: Sequence[float], errors: np.ndarray) -> bool:
 
 
 def _short_of_a_jump(steps: Sequence[float], errors: Sequence[float]) -> np.ndarray:
-    """Which steps do not stride over a jump beside the place: the largest ones do, at least two, where each misses the
+    """Which steps do not stride over a jump next to the place: the largest ones do, at least two, where each misses the
     derivative by more than itself, and the next shorter one by :data:`STRIDE` times less than the last of them."""
     order = np.argsort(steps)[::-1]
     sizes, over = np.array(errors)[order], 0
@@ -168,7 +168,7 @@ def side_of(
 ) -> tuple[str, float] | None:
     """Side of a place where the derivative jumps that sensitivities ``ours`` are those to, 'more' or 'less', and their
     least relative error against differences to that side, of second order from two neighbouring steps of the sweep.
-    None where they miss by more than the ``bound`` on either, or where one pair of steps stands alone: one beside it
+    None where they miss by more than the ``bound`` on either, or where one pair of steps stands alone: a neighbour
     must be within :data:`PLATEAU` times the bound. ``readings``: at both ends of each step, that far ``aways``."""
     best: tuple[float, str] = (np.inf, "")
     for side, sign in (("more", 1.0), ("less", -1.0)):

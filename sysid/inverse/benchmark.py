@@ -118,8 +118,8 @@ def _searched(engine: Counted, task: InverseTask, method: str, begins: float, se
 
 def _hash_of(task: InverseTask) -> str:
     """Of what is recorded: rig, motion and what is sought."""
-    told = (rig_of(task).model_dump_json(), load_experiment(task.experiment).model_dump_json(), task.seeks)
-    return hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+    described = (rig_of(task).model_dump_json(), load_experiment(task.experiment).model_dump_json(), task.seeks)
+    return hashlib.sha256(repr(described).encode()).hexdigest()[:12]
 
 
 def _truth(rig: Rig, task: InverseTask) -> float:
@@ -137,10 +137,10 @@ def inverse_table(rows: Sequence[InverseRow]) -> str:
     for task, method in dict.fromkeys((r.task, r.method) for r in rows):
         mine = [r for r in rows if (r.task, r.method) == (task, method)]
         errors = np.abs([r.error for r in mine])
-        told = [r.inside for r in mine if r.inside is not None]
+        covered = [r.inside for r in mine if r.inside is not None]
         lines.append(
             f"| {task} | {method} | {len(mine)} | {100 * np.median(errors):.2g} % | {100 * errors.max():.2g} % "
-            f"| {f'{sum(told)} of {len(told)}' if told else '-'} | {np.mean([r.rollouts for r in mine]):.0f} "
+            f"| {f'{sum(covered)} of {len(covered)}' if covered else '-'} | {np.mean([r.rollouts for r in mine]):.0f} "
             f"| {np.mean([r.with_derivatives for r in mine]):.0f} | {np.mean([r.wall_s for r in mine]):.0f} |"
         )
     return "\n".join(lines)

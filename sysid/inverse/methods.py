@@ -3,7 +3,7 @@
 ``fit`` is that of ``thinshell fit``, with its nuisance parameters, its noise and its intervals. The two others are
 those of ThinShellLab (Wang et al., ICLR 2024), on the mean square of what a model misses over the noise that the rig
 declares: gradient descent with 50 steps of a rate that falls by 0.95 from one to the next, none longer than a twelfth,
-and CMA-ES with five generations of ten. Both search in the scale that fits have; CMA-ES beside an idle second number,
+and CMA-ES with five generations of ten. Both search in the scale that fits have; CMA-ES with an idle second number,
 as there, since the library has no search in one dimension.
 """
 

@@ -22,7 +22,7 @@ ROOM_BYTES = 1 << 22
 def whole_folder(out: Path) -> Iterator[Path]:
     """A folder to write into that becomes ``out`` when the block ends without an error.
 
-    The block is the whole job, so that a place that cannot be written is told before it. Until the end the folder is
+    The block is the whole job, so that a place that cannot be written is refused before it. Until the end the folder is
     :func:`unfinished`, which an error in the block removes and a killed process leaves behind. Where ``out`` exists,
     which may be on a file system of its own, the finished files go into it at the end, one right after the other.
     What cannot go there stays where it is, and the ``ConfigError`` says where. One job at a time writes into ``out``.
@@ -118,7 +118,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def unfinished(out: Path) -> Path:
-    """Where the results that will be in ``out`` are until all are written: in it if it exists, else beside it."""
+    """Where the results that will be in ``out`` are until all are written: in it if it exists, else next to it."""
     out = out.absolute()
     return out / UNFINISHED if out.is_dir() else out.with_name(f".{out.name}{UNFINISHED}")
 

@@ -24,7 +24,7 @@ from sysid.observations.rig_topics import topics_of
 from sysid.observations.selection import part_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
-from sysid.recording.notes import Note, Notes, Severity, told_once
+from sysid.recording.notes import Note, Notes, Severity, merged_notes
 
 
 def load_runs(
@@ -59,19 +59,19 @@ def load_runs(
                 "Give a longer recording, or a longer window of it.",
             )
         runs.append(run if fresh_bodies else replace(run, earlier=earlier_motion(whole.values(), run)))
-        whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # told once
+        whole[part.path] = replace(whole[part.path], notes=(), doubts=())  # reported once
     return runs[: len(bags)], runs[len(bags) :]
 
 
 def load_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
-    """Read a bag, or a window of one, and line it up with a rig: with all that there is to be told of how it was read.
+    """Read a bag, or a window of one, and line it up with a rig: with all that there is to report on how it was read.
     Raises ``RecordingError`` when nothing can be compared, or what it says cannot be (:func:`read_run`)."""
     part = part_of(Path(path))
     return window_of(rig, read_run(rig, part.path, despite), part)
 
 
 def read_run(rig: Rig, path: Path, despite: Collection[str] = ()) -> Run:
-    """Read a bag and line it up with a rig; what is about some times only is left to be told of the window that is
+    """Read a bag and line it up with a rig; what is about some times only is left to be reported of the window that is
     used. Readings that :func:`sysid.observations.checks.examine` finds faulty are left out.
 
     Raises ``RecordingError`` when nothing can be compared, and where a finding makes a fit meaningless, unless
@@ -123,8 +123,8 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
             max_gap_s=effector.topics.max_gap_s,
             source=f"{path}: {stream.topic}",
         )
-        told = stream is recording.target_poses.get(name)
-        poses[name] = trajectory if told else trajectory.smoothed()
+        by_command = stream is recording.target_poses.get(name)
+        poses[name] = trajectory if by_command else trajectory.smoothed()
         corners.extend(_corner_notes(stream.topic, poses[name]))
     recorded = tuple(_measured(rig, recording))
     measured, blanked = while_posed(rig, poses, recorded)
@@ -147,7 +147,7 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
         measured=measured,
         end=float(max(m.t[-1] for m in measured)),
         notes=(
-            *told_once(said),
+            *merged_notes(said),
             *lacking,
             *corners,
             *([unlike] if unlike else []),
@@ -156,7 +156,7 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
         ),
         firsts=firsts,
         unlike=unlike,
-        doubts=tuple(told_once([note for note in said if note.severity == "warning"])),
+        doubts=tuple(merged_notes([note for note in said if note.severity == "warning"])),
         lacking=lacking,
         counted=tuple(note for note in notes if note.times),
         span_ns=(recording.t0_ns, recording.t0_ns + round(1e9 * recording.duration)),

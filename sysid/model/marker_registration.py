@@ -129,7 +129,7 @@ def _about(trajectory: PoseTrajectory, t: float) -> PoseTrajectory:
 
 
 def _frames(rig: Rig, name: str, first: FirstFrame) -> dict[str, Frame]:
-    """Where the end effectors were told to be when a camera took its first frame, by the latency of a rig."""
+    """Where the end effectors were commanded to be when a camera took its first frame, by the latency of a rig."""
     when = first.t - total_delay(rig, name, "tracks")
     return {mount: frame_of(*trajectory.at(when)) for mount, trajectory in first.poses.items()}
 
@@ -195,8 +195,8 @@ def _alike(a: Frame, b: Frame) -> bool:
 
 def _with_positions(sight: Sight, positions: np.ndarray) -> Sight:
     """One sight with its points at positions on the body [m] ``(n, 3)``."""
-    told = tuple((float(x), float(y), float(z)) for x, y, z in positions)
-    return sight.model_copy(update={"points": sight.points.model_copy(update={"positions_m": told})})
+    listed = tuple((float(x), float(y), float(z)) for x, y, z in positions)
+    return sight.model_copy(update={"points": sight.points.model_copy(update={"positions_m": listed})})
 
 
 def _shifted(rig: Rig, shifts: Mapping[str, Mapping[int, np.ndarray]], by: float) -> Rig:

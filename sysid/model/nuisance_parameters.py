@@ -1,7 +1,7 @@
-"""What every recording has and nobody tells: clocks, untared force sensors, cameras and end effectors slightly off.
+"""Nuisance parameters of every recording: clocks, untared force sensors, cameras and end effectors slightly off.
 
-A fit estimates these nuisances beside the parameters that it is asked for. Each has a prior about the value of the
-rig, as wide as such things are off in a laboratory, so that data which do not tell leave it where it is:
+A fit estimates these nuisances jointly with the parameters that it is asked for. Each has a prior about the value of
+the rig, as wide as such things are off in a laboratory, so that data which do not tell leave it where it is:
 
 - ``time``: the latency of each measured stream, in each recording by itself, since clocks are set anew between them
   (windows of one recording share it);
@@ -50,7 +50,7 @@ def checked_kinds(words: Collection[str]) -> frozenset[str]:
     for word in words:
         if word not in KINDS:
             if word in ("all", "none"):
-                raise ConfigError(f"Nuisance {word!r} stands beside others.", "Name kinds, or 'all' or 'none' alone.")
+                raise ConfigError(f"Nuisance {word!r} stands with others.", "Name kinds, or 'all' or 'none' alone.")
             raise ConfigError(f"There is no nuisance {word!r}.", nearest_match(word, (*KINDS, "all", "none")))
     return frozenset(words)
 

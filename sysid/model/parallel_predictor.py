@@ -21,12 +21,12 @@ from sysid.model.rollout_paths import RolloutPaths
 from sysid.observations.observations import Run
 
 Predict = Callable[[SerialPredictor, bool, NodePath | None], Prediction]
-"""Makes a prediction with an engine; whether it keeps its path, and the path beside which it is made."""
+"""Makes a prediction with an engine; whether it keeps its path, and the path that it starts from."""
 
 
 class ParallelPredictor:
     """As :class:`sysid.model.predictor.SerialPredictor`, on ``workers`` threads, each with scenes of its own. Use as a
-    context manager; when it is left, what runs is told to end.
+    context manager; when it is left, what runs is asked to end.
 
     ``on_done``: called on such a thread after each prediction, made or failed.
     """
@@ -50,8 +50,8 @@ class ParallelPredictor:
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         """Start a prediction without derivatives."""
 
-        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
-            return engine.predict(rig, run, refine, dt, keep_path=keep_path, beside=beside)
+        def predict(engine: SerialPredictor, keep_path: bool, warm_start: NodePath | None) -> Prediction:
+            return engine.predict(rig, run, refine, dt, keep_path=keep_path, warm_start=warm_start)
 
         return self._begun(rig, run, refine, dt, predict)
 
@@ -67,8 +67,10 @@ class ParallelPredictor:
         """Start a prediction with derivatives."""
         own, at = list(parameters), np.array(scaled)
 
-        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
-            return engine.predict_with_derivatives(rig, run, own, at, refine, dt, keep_path=keep_path, beside=beside)
+        def predict(engine: SerialPredictor, keep_path: bool, warm_start: NodePath | None) -> Prediction:
+            return engine.predict_with_derivatives(
+                rig, run, own, at, refine, dt, keep_path=keep_path, warm_start=warm_start
+            )
 
         return self._begun(rig, run, refine, dt, predict)
 
@@ -84,8 +86,10 @@ class ParallelPredictor:
         """Start a prediction with the responses to effects of finite size, and to parameters that change."""
         own, at, sized, changing = list(parameters), np.array(scaled), list(candidates), list(modulated)
 
-        def predict(engine: SerialPredictor, keep_path: bool, beside: NodePath | None) -> Prediction:
-            return engine.predict_responses(rig, run, own, at, sized, changing, keep_path=keep_path, beside=beside)
+        def predict(engine: SerialPredictor, keep_path: bool, warm_start: NodePath | None) -> Prediction:
+            return engine.predict_responses(
+                rig, run, own, at, sized, changing, keep_path=keep_path, warm_start=warm_start
+            )
 
         return self._begun(rig, run, 1, None, predict)
 
@@ -97,19 +101,19 @@ class ParallelPredictor:
         return [future.result() for future in futures]
 
     def _begun(self, rig: Rig, run: Run, refine: int, dt: float | None, predict: Predict) -> Future[Prediction]:
-        """A prediction on a thread, beside the path of the first one like it."""
+        """A prediction on a thread, warm-started from the path of the first one like it."""
 
-        def make(keep_path: bool, beside: NodePath | None) -> Prediction:
+        def make(keep_path: bool, warm_start: NodePath | None) -> Prediction:
             if not hasattr(self._own, "engine"):
                 self._own.engine = SerialPredictor()
-            return predict(self._own.engine, keep_path, beside)
+            return predict(self._own.engine, keep_path, warm_start)
 
-        def begin(keep_path: bool, beside: NodePath | None) -> Future[Prediction]:
-            return self._told(self._pool.submit(make, keep_path, beside))
+        def begin(keep_path: bool, warm_start: NodePath | None) -> Future[Prediction]:
+            return self._reporting(self._pool.submit(make, keep_path, warm_start))
 
         return self._paths.start(rig, run, refine, dt, begin)
 
-    def _told(self, future: Future[Prediction]) -> Future[Prediction]:
+    def _reporting(self, future: Future[Prediction]) -> Future[Prediction]:
         """The same future, which tells when it is done."""
         on_done = self._on_done
         if on_done is not None:

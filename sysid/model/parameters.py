@@ -50,7 +50,7 @@ SCALES = {
     "pressure_pa": Scale(False, 1e3, -1e10, 1e10),
     "mass_kg": Scale(False, 0.01, 0.0, 1e5),
 }
-"""The quantities of a rig that can be fitted, beside the parameters of effects, which say it themselves."""
+"""The quantities of a rig that can be fitted, in addition to the parameters of effects, which say it themselves."""
 
 
 @dataclass(frozen=True)

@@ -53,15 +53,15 @@ class SerialPredictor:
         dt: float | None = None,
         *,
         keep_path: bool = False,
-        beside: NodePath | None = None,
+        warm_start: NodePath | None = None,
     ) -> Prediction:
-        """Predict one run. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
+        """Predict one run. ``keep_path``, ``warm_start``: as of :func:`sim_core.simulate.simulate`."""
         scene = self._scenes.of(rig, refine)
         rig = placed(scene, run.firsts)
         scene.use(rig)
         dt = dt or rig.solver.dt_s
         left, times = self._left.of(scene, run, dt, refine), rollout_times([rig], run, dt)
-        trace = simulate(scene, run.poses, times, keep_path=keep_path, beside=beside, left=left)
+        trace = simulate(scene, run.poses, times, keep_path=keep_path, warm_start=warm_start, left=left)
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
@@ -96,14 +96,21 @@ class SerialPredictor:
         dt: float | None = None,
         *,
         keep_path: bool = False,
-        beside: NodePath | None = None,
+        warm_start: NodePath | None = None,
     ) -> Prediction:
         """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
-        runs have for themselves. ``keep_path``, ``beside``: as of :func:`sim_core.simulate.simulate`."""
+        runs have for themselves. ``keep_path``, ``warm_start``: as of :func:`sim_core.simulate.simulate`."""
         own = acting_in(parameters, run.name)
         if len(own) < len(parameters):
             found = self.predict_with_derivatives(
-                rig, run, [parameters[k] for k in own], scaled[own], refine, dt, keep_path=keep_path, beside=beside
+                rig,
+                run,
+                [parameters[k] for k in own],
+                scaled[own],
+                refine,
+                dt,
+                keep_path=keep_path,
+                warm_start=warm_start,
             )
             wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
             for c, d in found.derivatives.items():
@@ -117,7 +124,9 @@ class SerialPredictor:
         dt = dt or here.solver.dt_s
         left = self._left.along(scene, run, dt, refine, along)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt)
-        trace, raw = simulate_tangent(scene, run.poses, times, along, keep_path=keep_path, beside=beside, left=left)
+        trace, raw = simulate_tangent(
+            scene, run.poses, times, along, keep_path=keep_path, warm_start=warm_start, left=left
+        )
         values = _at_stamps(trace, here, run)
         derivatives = {}
         for m in run.measured:
@@ -137,7 +146,7 @@ class SerialPredictor:
         modulated: Sequence[Modulated] = (),
         *,
         keep_path: bool = False,
-        beside: NodePath | None = None,
+        warm_start: NodePath | None = None,
     ) -> Prediction:
         """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates``, then
         to changes of parameters in time, after the derivatives (:mod:`sysid.model.responses`); NaN: one that could not
@@ -166,7 +175,7 @@ class SerialPredictor:
         if left is not None:
             left = left.along(np.arange(len(along)), len(whole))
         trace, raw = simulate_responses(
-            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, beside=beside, left=left
+            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, warm_start=warm_start, left=left
         )
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}
@@ -178,7 +187,7 @@ class SerialPredictor:
                 others[k] = change(_at_stamps(trace, rigs[k], run), values)
             elif way == "rollout":
                 try:
-                    others[k] = change(self.predict(rigs[k], run, beside=beside).values, values)
+                    others[k] = change(self.predict(rigs[k], run, warm_start=warm_start).values, values)
                 except ThinshellError:
                     others[k] = {c: np.full_like(v, np.nan) for c, v in values.items()}
         place = {k: len(along) + n for n, k in enumerate(steps)}

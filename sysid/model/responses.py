@@ -59,7 +59,7 @@ SizedEffects = Mapping[str, Mapping[str, float]]
 
 
 def with_effects(rig: Rig, effects: SizedEffects) -> Rig:
-    """The rig with these effects beside its own."""
+    """The rig with these effects in addition to its own."""
     return rig.model_copy(update={"effects": {**rig.effects, **{k: dict(v) for k, v in effects.items()}}})
 
 

@@ -1,9 +1,9 @@
-"""Paths of rollouts made before, beside which later ones of the same recording begin their steps.
+"""Paths of rollouts made before, from which later ones of the same recording start their steps (warm starts).
 
 A fit asks for the same rollout with other numbers again and again. Where bodies are soft solids that are in balance at
 each instant, a step has one solution, and the search for it from the path of a rollout near by takes a third of the
-factorisations (:attr:`sim_core.simulate.Simulation.beside`). A sheet may have buckled to another side, which a path
-would hide, and with inertia velocities lead as near: those are simulated by themselves.
+factorisations (``warm_start`` of :func:`sim_core.simulate.simulate`). A sheet may have buckled to another side, which a
+path would hide, and with inertia velocities lead as near: those are simulated by themselves.
 
 Which rollout a path comes from does not depend on which process is faster: it is the first that was asked for.
 """
@@ -37,7 +37,8 @@ class RolloutPaths:
         dt: float | None,
         begin: Callable[[bool, NodePath | None], Future[Prediction]],
     ) -> Future[Prediction]:
-        """Start a rollout by ``begin(keep_path, beside)``: the first one keeps its path, which the others wait for."""
+        """Start a rollout by ``begin(keep_path, warm_start)``: the first one keeps its path, which the others wait
+        for."""
         if rig.solver.inertia or any(isinstance(body, Sheet) for body in rig.bodies.values()):
             return begin(False, None)
         shapes = repr([(name, getattr(body, "shape", None)) for name, body in rig.bodies.items()])

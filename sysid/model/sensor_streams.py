@@ -20,7 +20,7 @@ from sysid.settings.model import MODEL
 
 
 def channel_of(rig: Rig, name: str, kind: str, stamps: np.ndarray, since: float = 0.0) -> Channel:
-    """What effects are told of a stream; ``rig``: with the amendments of its numbers made."""
+    """What effects know of a stream; ``rig``: with the amendments of its numbers made."""
     return Channel(name, kind, stamps, since, rig)  # type: ignore[arg-type]
 
 

@@ -1,10 +1,11 @@
 """Windows of recordings: the presses that matter out of an hour, one to fit and another to hold out.
 
-A window is simulated by itself, beside others, from rest where the end effectors are at its first instant. That is true
-of what is held by end effectors or the world, if nothing moves and nothing touches then. History variables that stay
-come from the motion before (:mod:`sysid.model.sequence`); where free bodies lie, and what relaxes, does not. A window
-that begins while something moves says so. So does one whose readings then are not those of rest: as they have changed
-since the start of the recording, so must they in simulations of both instants at rest, by the rig that was fitted.
+A window is simulated by itself, apart from others, from rest where the end effectors are at its first instant. That is
+true of what is held by end effectors or the world, if nothing moves and nothing touches then. History variables that
+stay come from the motion before (:mod:`sysid.model.sequence`); where free bodies lie, and what relaxes, does not. A
+window that begins while something moves says so. So does one whose readings then are not those of rest: as they have
+changed since the start of the recording, so must they in simulations of both instants at rest, by the rig that was
+fitted.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from sysid.noise.stillness import moving
 from sysid.observations.observations import Change, Measured, Run
 from sysid.observations.rig_match import span_of
 from sysid.observations.selection import Part
-from sysid.recording.notes import told_once
+from sysid.recording.notes import merged_notes
 from sysid.settings.model import MODEL
 
 
@@ -38,8 +39,8 @@ def window_of(rig: Rig, run: Run, part: Part) -> Run:
         if part.begin < at < min(part.end, run.end):
             raise stop
     counted = [n for n in (note.between(part.begin, part.end) for note in run.counted) if n.times]
-    doubts = told_once([n for n in counted if n.severity == "warning"])
-    notes = told_once(counted)
+    doubts = merged_notes([n for n in counted if n.severity == "warning"])
+    notes = merged_notes(counted)
     when = "" if part.whole else f" from {part.begin:g} to {part.end:g} s"
     measured = []
     for m in run.measured:

@@ -1,20 +1,20 @@
 """The colour of noise, from what the fit leaves.
 
-A rest tells the level of the noise and how alike neighbouring samples are, and no more: slow drift beside white noise,
-as force sensors have it, is hardly seen in a second. Without a rest the noise is taken for white, with the level that
-neighbouring samples show; coloured noise is then underrated twice. What the fit leaves shows both. In each quantity of
-a channel the whitened residuals r are taken for a sum of white noise and first-order autoregressive noises of several
-correlation lengths,
+A rest shows the level of the noise and the correlation of neighbouring samples, and no more: slow drift under white
+noise, as force sensors have it, is hardly seen in a second. Without a rest the noise is taken for white, with the level
+that neighbouring samples show; coloured noise is then underrated twice. What the fit leaves shows both. In each
+quantity of a channel the whitened residuals r are taken for a sum of white noise and first-order autoregressive noises
+of several correlation lengths,
 
     C = sum_b v_b R_b,    R_b,kl = rho_b^|k - l|,    v_b >= 0,
 
-whose variances v_b follow from the products of samples that are l apart, for several lags l, beside what the parameters
+whose variances v_b follow from the products of samples that are l apart, for several lags l, less what the parameters
 take up of them, H = J A J^T (A: inverse information; S_l: mean of the samples l before and l after), by non-negative
 least squares (Lawson & Hanson 1974, ch. 23):
 
     r^T S_l r = sum_b v_b tr((I - H) S_l (I - H) R_b),
 
-and beside the bias of each column, where that is taken out. Matrices that depend on the distance of samples alone are
+and less the bias of each column, where that is taken out. Matrices that depend on the distance of samples alone are
 taken to go on beyond the ends of a recording, so that all products with J come from its cross-correlations; what S_l
 misses of samples that are missing is taken for the same share everywhere. Lags are lags in time: messages that were
 lost are samples that are missing. What the discretisation error takes up is left out: noise that it resembles is
@@ -100,18 +100,18 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     lags = np.unique(np.round([0.0, *_geometric(1.0, 2.0, NOISE.largest_lag_share * longest)]).astype(int))
     pairs = np.array([sum(int((_from(p.there, k) & _until(p.there, k)).sum()) for p in parts) for k in lags])
     products = np.array([sum(float(np.sum(_from(p.residual, k) * _until(p.residual, k))) for p in parts) for k in lags])
-    beside = _beside(parts, longest)
+    lagged = _lagged_information(parts, longest)
     distance = np.arange(longest)
     twice = np.where(distance > 0, 2.0, 1.0)
-    spreads = np.tensordot(twice * np.power.outer(rhos, distance), beside, axes=1)
-    taken = np.tensordot(beside, inverse, axes=2)
+    spreads = np.tensordot(twice * np.power.outer(rhos, distance), lagged, axes=1)
+    taken = np.tensordot(lagged, inverse, axes=2)
     apart = np.abs(np.subtract.outer(lags, distance)), np.add.outer(lags, distance)
     met = pairs / np.maximum([sum(_within_reach(p.there, k) for p in parts) for k in lags], 1.0)
     by_lag = np.column_stack(
         [
             pairs * np.power(rho, lags)
             - met * ((np.power(rho, apart[0]) + np.power(rho, apart[1])) @ (twice * taken))
-            + np.tensordot(inverse @ beside[lags] @ inverse, spread, axes=2)
+            + np.tensordot(inverse @ lagged[lags] @ inverse, spread, axes=2)
             - _tared(parts, rho, lags)
             for rho, spread in zip(rhos, spreads, strict=True)
         ]
@@ -127,7 +127,7 @@ def _excess(parts: Sequence[Part], number: int, inverse: np.ndarray) -> np.ndarr
     return np.asarray(np.tensordot(level * shares / size, spreads, axes=1) - spreads[0])
 
 
-def _beside(parts: Sequence[Part], longest: int) -> np.ndarray:
+def _lagged_information(parts: Sequence[Part], longest: int) -> np.ndarray:
     """J^T S_d J for all distances d of samples, summed over runs ``(longest, p, p)``: cross-correlations, by the fast
     Fourier transform of some columns at a time."""
     p = parts[0].jacobian.shape[2]
@@ -180,7 +180,7 @@ def _until(values: np.ndarray, lag: int) -> np.ndarray:
 
 
 def unknown_autocorrelation(noise: Mapping[str, ChannelNoise]) -> list[str]:
-    """A sentence for each channel whose colour no rest told."""
+    """A sentence for each channel whose autocorrelation no rest shows."""
     return [
         f"The colour of the noise of {name} is not known, since nothing stands still for {NOISE.min_rest_samples} "
         "of its samples. Readings are weighed as if it were white, and intervals allow for the correlation of what "

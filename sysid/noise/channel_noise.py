@@ -1,4 +1,5 @@
-"""The noise of the columns of one channel: a coloured part, a white one beside it, and what markers have in common."""
+"""The noise of the columns of one channel: a coloured part, a white one added to it, and what markers have in
+common."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ class ChannelNoise:
     interval of its samples, 0 to less than 1 ``(m,)``, or one for all; ``source``: how they were found, in words;
     ``estimated``: what recordings show, where a declared noise took its place ``(m,)``; ``common``: the part that all
     markers of a picture have in common, None where that is what chance makes of their own; ``white``: share of the
-    variance that is white beside the coloured part, 0 to less than 1 ``(m,)``, or one for all."""
+    variance that is white in addition to the coloured part, 0 to less than 1 ``(m,)``, or one for all."""
 
     sigma: np.ndarray
     rho: np.ndarray

@@ -21,7 +21,7 @@ from sysid.settings.noise import NOISE
 
 def common_mode(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> CommonMode | None:
     """What markers have in common in stretches of pictures in which nothing moves, each ``(n, m)`` at times ``(n,)``;
-    None where it is nothing beside their own noise, or where there are no such stretches."""
+    None where it is negligible compared with their own noise, or where there are no such stretches."""
     left: list[Stretch] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
     columns = 0
@@ -55,12 +55,12 @@ def _excess(coefficients: Sequence[tuple[np.ndarray, np.ndarray]], level: float,
     of each stretch; ``level``, ``rho``: of the own noise.
 
     In units of the own noise's innovations the coefficients of a stretch have the covariance I + v W R W^T, with R the
-    correlation of first-order autoregressive noise. Beside the mean of each stretch, with the eigenvalues e of what is
-    left of W R W^T and coefficients z along its eigenvectors, -2 log L = sum log(1 + v e) + z^2 / (1 + v e). A rest of
-    half a second hardly shows how slow a shake is: its most probable size is too small on average, and the mean of its
-    variance is that of the slowest noise that is possible. Its standard deviation is half-Cauchy beforehand, in units
-    of the own noise (Gelman, Bayesian Analysis 1, 2006), and that there is no such noise is as probable as that there
-    is.
+    correlation of first-order autoregressive noise. Apart from the mean of each stretch, with the eigenvalues e of what
+    is left of W R W^T and coefficients z along its eigenvectors, -2 log L = sum log(1 + v e) + z^2 / (1 + v e). A rest
+    of half a second hardly shows how slow a shake is: its most probable size is too small on average, and the mean of
+    its variance is that of the slowest noise that is possible. Its standard deviation is half-Cauchy beforehand, in
+    units of the own noise (Gelman, Bayesian Analysis 1, 2006), and that there is no such noise is as probable as that
+    there is.
     """
     colours = np.concatenate([[0.0], COLOURS])
     some = np.geomspace(*NOISE.common_mode_sizes, NOISE.common_mode_size_count)

@@ -1,4 +1,4 @@
-"""What speaks against believing recordings, whatever a fit makes of them: faults they were read with, sensors and poses
+"""Data-quality warnings, whatever a fit makes of the recordings: faults they were read with, sensors and poses
 that are dead, noise that differs between them, too few readings."""
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from sysid.noise.common_mode_estimate import common_mode
 from sysid.noise.mixture import Mixture, mixture_of
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import in_sampling_intervals
-from sysid.noise.scatter import Stretch, beside_line, scatter_of, without_mistakes
+from sysid.noise.scatter import Stretch, line_residual, scatter_of, without_mistakes
 from sysid.noise.stillness import quiet
 from sysid.observations.observations import UNITS, Measured, Run
 from sysid.settings.noise import NOISE
@@ -244,7 +244,7 @@ def rests(run: Run, values: np.ndarray, t: np.ndarray, declared: float) -> list[
 
 def has_trend(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     """Whether readings ``(n, m)`` at the times ``t`` [s] are far smoother than noise of their level and colour, and
-    have few zero crossings beside a straight line. Third differences of noise with variance ``sigma^2`` and correlation
+    cross a straight line seldom. Third differences of noise with variance ``sigma^2`` and correlation
     ``rho^k`` have the variance
 
         sigma^2 (20 - 30 rho + 12 rho^2 - 2 rho^3).
@@ -259,8 +259,8 @@ def has_trend(values: np.ndarray, t: np.ndarray, scatter: Stretch) -> bool:
     expected = scatter.level * np.sqrt(1.0 - 1.5 * rho + 0.6 * rho**2 - 0.1 * rho**3)
     if differences[0] >= NOISE.smooth_rest_share * expected:
         return False
-    beside = beside_line(values, in_sampling_intervals(t))
-    crossings, weight = np.sum(beside[1:] * beside[:-1] < 0.0, axis=0), np.sum(beside**2, axis=0)
+    residual = line_residual(values, in_sampling_intervals(t))
+    crossings, weight = np.sum(residual[1:] * residual[:-1] < 0.0, axis=0), np.sum(residual**2, axis=0)
     return float(crossings @ weight) <= NOISE.trend_crossings * float(weight.sum())
 
 

@@ -1,6 +1,6 @@
 """How much of the noise at rest is white, and how much goes on from sample to sample.
 
-The two parts of :mod:`sysid.noise.whitening` are told apart by their restricted likelihood, in which what a parabola
+The two parts of :mod:`sysid.noise.whitening` are separated by their restricted likelihood, in which what a parabola
 takes away of each stretch is accounted for (Patterson & Thompson, Biometrika 58, 1971): with K = R(rho, white) the
 correlation of a column y at rest and X = (1, t, t^2),
 
@@ -104,7 +104,7 @@ def _correlated(
 
 
 def prior_loss(rho: np.ndarray) -> np.ndarray:
-    """-2 log of the prior of correlations: what is slower than a rest is long cannot be told from its course."""
+    """-2 log of the prior of correlations: what is slower than a rest is long cannot be separated from its course."""
     return np.asarray((np.log(NOISE.colour_intervals * (1.0 - rho)) / NOISE.colour_intervals_log_sd) ** 2)
 
 

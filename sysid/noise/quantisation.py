@@ -1,7 +1,7 @@
 """The steps in which a sensor reads, from its readings.
 
-A converter with few bits, or a file with few digits, rounds every reading to a multiple of a step beside the tare of
-its column. At rest such a reading may not change at all, and nothing but the step tells how far it can be off:
+A converter with few bits, or a file with few digits, rounds every reading to a multiple of a step, counted from the
+tare of its column. At rest such a reading may not change at all, and nothing but the step tells how far it can be off:
 step / sqrt(12), the standard deviation of what is uniform within one step.
 
 A step is looked for column by column, since each has a tare of its own. It is the smallest difference of the values

@@ -26,7 +26,7 @@ def scatter_of(values: np.ndarray, at: np.ndarray) -> Stretch | None:
     if not good.any():
         return None
     base = _line(at)
-    residual = _beside_line(values, good, base)
+    residual = _line_residual(values, good, base)
     near = (np.diff(at) < NOISE.gap_interval)[:, None]
     size, pairs = int(good.sum()), int((near & good[1:] & good[:-1]).sum())
     variance = np.sum(residual**2) / (size - 2 * values.shape[1])
@@ -48,23 +48,23 @@ def without_mistakes(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         good = np.isfinite(values)
         if not good.any():
             return values
-        mistakes = _mistakes(_beside_line(values, good, _line(at)), good)
+        mistakes = _mistakes(_line_residual(values, good, _line(at)), good)
         if not mistakes.any():
             return values
         values = np.where(mistakes, np.nan, values)
 
 
-def beside_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """What is left of columns ``(n, k)`` at times ``(n,)`` beside a line each, 0 where there is no reading."""
-    return _beside_line(values, np.isfinite(values), _line(at))
+def line_residual(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Residuals of columns ``(n, k)`` at times ``(n,)`` from a line each, 0 where there is no reading."""
+    return _line_residual(values, np.isfinite(values), _line(at))
 
 
 def _line(at: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(at)), 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0])
 
 
-def _beside_line(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """What is left of each column beside a line, 0 where it is not ``good``."""
+def _line_residual(values: np.ndarray, good: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """Residual of each column from a line, 0 where it is not ``good``."""
     residual = np.zeros(values.shape)
     for there in np.unique(good, axis=1).T:
         alike = (good == there[:, None]).all(axis=0)
@@ -82,7 +82,7 @@ def _mistakes(residual: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 def _share_left(at: np.ndarray, rho: float, base: np.ndarray) -> float:
     """Share of the variance of noise with lag-one correlation ``rho``, at the times ``at`` ``(n,)`` in usual intervals,
-    that is left beside the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
+    left by a fit of the columns of ``base`` ``(n, 2)``, over that of white noise: tr((I - H) R) / (n - 2)."""
     n = len(at)
     if rho == 0.0 or n > NOISE.longest_exact_samples:
         return 1.0

@@ -85,7 +85,7 @@ def creeping(stamps: np.ndarray, path: np.ndarray, noise: np.ndarray, t: np.ndar
 def _drifts(times: np.ndarray, path: np.ndarray, noise: np.ndarray, still: np.ndarray, half: float) -> np.ndarray:
     """At which of the times ``(n,)`` that are ``still`` the mean of the path ``(n, 6)`` over the time ``half`` [s]
     before them is farther from that after them than :data:`STILL_WITHIN` and 4 of its standard deviations. What is not
-    still counts in neither, so that a rest beside a motion stays one."""
+    still counts in neither, so that a rest next to a motion stays one."""
     weight = np.concatenate([[0.0], np.cumsum(still)])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(np.where(still[:, None], path, 0.0), axis=0)])
     here = np.arange(len(times))

@@ -1,9 +1,9 @@
 """Residuals in units of the innovations of noise, in which least squares are right.
 
-Noise is first-order autoregressive (coloured), and a part of its variance may be white beside that: a force sensor hums
-by itself and drifts with the temperature of its amplifier. Together they are an ARMA(1, 1) process (Box & Jenkins, Time
-Series Analysis, 1976, section 4.3; Granger & Morris, J. R. Stat. Soc. A 139, 1976). With D the map to the innovations
-of the coloured part, and r the white variance over the coloured one, the covariance of D y is tridiagonal,
+Noise is first-order autoregressive (coloured), and a part of its variance may be white on top of that: a force sensor
+hums by itself and drifts with the temperature of its amplifier. Together they are an ARMA(1, 1) process (Box & Jenkins,
+Time Series Analysis, 1976, section 4.3; Granger & Morris, J. R. Stat. Soc. A 139, 1976). With D the map to the
+innovations of the coloured part, and r the white variance over the coloured one, the covariance of D y is tridiagonal,
 
     D cov(y) D^T = I + r S S^T,    S = D in units of the coloured noise,
 
@@ -107,7 +107,7 @@ class Whitening:
 
 @dataclass(frozen=True)
 class _Mixed:
-    """What white noise beside the coloured makes of its innovations, for ``columns`` of which the same ``rows`` are
+    """What white noise added to the coloured makes of its innovations, for ``columns`` of which the same ``rows`` are
     good: the Cholesky ``factor`` of their covariance, lower banded ``(2, r)``."""
 
     rows: np.ndarray
@@ -131,7 +131,7 @@ class _Mixed:
 
 
 def _mixed(noise: ChannelNoise, good: np.ndarray, at: np.ndarray) -> list[_Mixed]:
-    """The factors of all columns that have white noise beside coloured."""
+    """The factors of all columns that have white noise and coloured."""
     flat = good.reshape(len(good), -1)
     each = flat.shape[1] // max(len(noise.sigma), 1)
     rho, white = np.repeat(noise.rho, each), np.repeat(noise.white, each)

@@ -107,7 +107,8 @@ def of_recording(name: str, text: str) -> str:
 
 
 def check_apart(runs: Sequence[Run], held_out: Sequence[Run] = ()) -> None:
-    """No reading is in two of them, whatever the paths: files are told by their content. Raises ``RecordingError``.
+    """No reading is in two of them, whatever the paths: files are recognised by their content. Raises
+    ``RecordingError``.
 
     Windows are compared where both recordings consist of the same files; a file of a recording that was split counts
     its time from elsewhere.

@@ -62,14 +62,14 @@ def _of_effector(rig: Rig, name: str, stream: PoseStream) -> PoseStream:
     """Poses base * P * tool."""
     if name not in rig.end_effectors:
         return stream
-    told = rig.end_effectors[name].topics
-    if told.axes == ("x", "y", "z") and not any(np.any(p.matrix() != np.eye(4)) for p in (told.base, told.tool)):
+    topics = rig.end_effectors[name].topics
+    if topics.axes == ("x", "y", "z") and not any(np.any(p.matrix() != np.eye(4)) for p in (topics.base, topics.tool)):
         return stream
-    position, rotation = _turned(stream.position, matrix_of(told.axes)), Rotation.from_quat(stream.quaternion)
-    position = told.base.rotation().apply(position) + told.base.position()
-    rotation = told.base.rotation() * rotation
-    position = position + rotation.apply(told.tool.position())
-    quaternion = (rotation * told.tool.rotation()).as_quat()
+    position, rotation = _turned(stream.position, matrix_of(topics.axes)), Rotation.from_quat(stream.quaternion)
+    position = topics.base.rotation().apply(position) + topics.base.position()
+    rotation = topics.base.rotation() * rotation
+    position = position + rotation.apply(topics.tool.position())
+    quaternion = (rotation * topics.tool.rotation()).as_quat()
     flips = np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0, -1.0, 1.0)
     quaternion = quaternion * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
     return replace(stream, position=position, quaternion=quaternion)

@@ -80,16 +80,16 @@ def check_topics(rig: Rig, path: Path, topics: Mapping[str, TopicInfo]) -> None:
         return
     named = {t for topic in _named(rig) for t in _same(topic, types)}
     strange = [t for t, kinds in types.items() if kinds and t not in named]
-    told = [f"it lacks {', '.join(map(str, lacking))}"] if lacking else []
-    told += [f"{part} may be {' or '.join(found[part])}" for part in several]
-    told += [f"it has {', '.join(strange)}, which the rig does not name"] if strange else []
+    differences = [f"it lacks {', '.join(map(str, lacking))}"] if lacking else []
+    differences += [f"{part} may be {' or '.join(found[part])}" for part in several]
+    differences += [f"it has {', '.join(strange)}, which the rig does not name"] if strange else []
     examples = [(part.key, found[part][0]) for part in several]
     examples += [(part.key, t) for part in lacking for t in strange if part.kind in types[t]]
     example = f", as in {examples[0][0]}: {examples[0][1]}" if examples else ""
     images = [name for name, camera in rig.cameras.items() if _same(camera.topics.image, types)]
     tracks = f"Make tracks of the images of {', '.join(images)} with 'thinshell track', give" if images else "Give"
     raise RecordingError(
-        f"{path} does not match the rig {rig.name!r}: {'; '.join(told)}.",
+        f"{path} does not match the rig {rig.name!r}: {'; '.join(differences)}.",
         f"{tracks} the rig that it was recorded with, or write the topics of the recording into this one{example}.",
     )
 

@@ -13,8 +13,8 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
     """The topic map for reading a recording of a rig, and the rig's topics that the recording lacks.
 
     A stream that the recording lacks is left out of the map; what is needed, the reader says. What another topic stands
-    for (commanded poses beside measured ones, images beside tracks) or the rig itself says (intrinsics) is not missed.
-    ``available``: topics of the recording. Names of the rig match in any namespace.
+    for (commanded poses next to measured ones, images next to tracks) or the rig itself says (intrinsics) is not
+    missed. ``available``: topics of the recording. Names of the rig match in any namespace.
     """
     present = ["/" + topic.strip("/") for topic in available]
     missing: list[str] = []

@@ -159,7 +159,7 @@ def _assign(series: Series, needed: tuple[str, ...], t: Floats, notes: Notes) ->
     if "id" in points:
         name = points["id"].astype(np.int64)
     elif len(set(sizes[sound].tolist())) == 1:
-        notes.warning(topic, "no field id: markers are told apart by their row")
+        notes.warning(topic, "no field id: markers are identified by their row")
         name = np.tile(np.arange(sizes[sound][0]), len(clouds)).astype(np.int64)
     else:
         raise RecordingError(

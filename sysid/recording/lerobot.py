@@ -74,9 +74,11 @@ def write_tables(dataset: Path, out: Path, episodes: Sequence[int] = ()) -> str:
     found = sorted({k for _, k in _rows(dataset)})
     missing = sorted(set(episodes) - set(found))
     if missing or not found:
-        told = f"episodes {found[0]} to {found[-1]}" if found else "no frames in its Parquet files (data/*/*.parquet)"
+        content = (
+            f"episodes {found[0]} to {found[-1]}" if found else "no frames in its Parquet files (data/*/*.parquet)"
+        )
         raise RecordingError(
-            f"{dataset} has {told}" + (f", and not {', '.join(map(str, missing))}." if missing else "."),
+            f"{dataset} has {content}" + (f", and not {', '.join(map(str, missing))}." if missing else "."),
             "Give numbers of episodes that it has." if found else "Download its files of data too.",
         )
     chosen = set(episodes or found)

@@ -63,7 +63,7 @@ class Notes:
         return tuple(sorted(self._notes, key=lambda note: note.severity != "warning"))
 
 
-def told_once(notes: Iterable[Note]) -> list[str]:
+def merged_notes(notes: Iterable[Note]) -> list[str]:
     """Each remark with all the channels that it is about."""
     channels: dict[str, list[str]] = {}
     for note in notes:

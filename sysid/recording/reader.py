@@ -127,7 +127,8 @@ def _resolved(role: str, topics: Mapping[str, str | None], bag: Bag, notes: Note
 
 
 def _without_unneeded(roles: dict[str, dict[str, str]], bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
-    """Roles without topics that hold no message and are not needed: images, and commanded beside measured poses."""
+    """Roles without topics that hold no message and are not needed: images, and commanded poses where there are
+    measured ones."""
     kept = {role: dict(found) for role, found in roles.items()}
     for role, name, topic in [(r, n, t) for r, found in roles.items() for n, t in found.items()]:
         spare = role == "images" or (role == "target_pose" and name in roles["current_pose"])
@@ -138,7 +139,7 @@ def _without_unneeded(roles: dict[str, dict[str, str]], bag: Bag, notes: Notes) 
 
 
 def _calibration(topic: str, bag: Bag, of_rig: bool, notes: Notes) -> CameraInfo | None:
-    """What a camera_info says; beside a rig, which has intrinsics of its own, one that cannot be used is left out."""
+    """What a camera_info says; with a rig, which has intrinsics of its own, one that cannot be used is left out."""
     try:
         return sensors.read_camera_info(topic, bag.messages(topic), notes)
     except RecordingError as error:
@@ -153,17 +154,17 @@ def _images(
     bag: Bag,
     cameras: Mapping[str, CameraInfo | None],
     t0_ns: int,
-    beside: bool,
+    optional: bool,
     notes: Notes,
 ) -> dict[str, ImageStream]:
-    """Image streams by camera. ``beside``: there are other measurements, so that images that cannot be decoded are no
+    """Image streams by camera. ``optional``: there are other measurements, so that images that cannot be decoded are no
     reason to stop."""
     found = {}
     for name, one in series.items():
         try:
             found[name] = sensors.image_stream(one, bag.topics[one.topic].msgtypes[0], cameras[name], t0_ns, notes)
         except RecordingError as error:
-            if not beside:
+            if not optional:
                 raise
             notes.warning(one.topic, f"not used: {error.problem}")
     return found
@@ -254,11 +255,11 @@ def _camera_topics(
     cameras = list(dict.fromkeys([*roles["tracks"], *roles["images"]]))
     found: dict[str, str | None] = {}
     for camera in cameras:
-        beside = [roles[role][camera] for role in ("tracks", "images") if camera in roles[role]]
-        topic = camera_info_topic(camera, names.camera_info, beside, len(cameras) == 1, bag.topics, notes)
+        siblings = [roles[role][camera] for role in ("tracks", "images") if camera in roles[role]]
+        topic = camera_info_topic(camera, names.camera_info, siblings, len(cameras) == 1, bag.topics, notes)
         found[camera] = topic if topic is not None and bag.topics[topic].count else None
         if found[camera] is None and not bag.of_tables:
-            notes.warning(beside[0], f"no camera_info for camera {camera!r}: not calibrated")
+            notes.warning(siblings[0], f"no camera_info for camera {camera!r}: not calibrated")
     return found
 
 

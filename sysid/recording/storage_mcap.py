@@ -3,7 +3,7 @@
 The scan reads the data section itself instead of the summary at the end of the file, which only tells what channels
 there are where their records are damaged. Four things
 follow from it: a recording cut short by a crash is read up to the last whole message, topics never
-disappear because of the quality-of-service text stored beside them, the number of messages found
+disappear because of the quality-of-service text stored with them, the number of messages found
 can be checked against the number that the summary promises, and behind a damaged place the scan goes
 on with the next records that follow each other as records do.
 """

@@ -75,7 +75,7 @@ def index_sqlite(path: Path, shown: Path) -> FileIndex:
     log = shown.with_name(shown.name + "-wal")
     if log.exists() and log.stat().st_size:
         problems.append(
-            f"{log.name} beside it holds messages that were never merged into the database and are not read; "
+            f"{log.name} next to it holds messages that were never merged into the database and are not read; "
             "open a copy of both once with the sqlite3 tool to merge them"
         )
     payloads: Callable[[Path], Payloads] = SqlitePayloads

@@ -163,7 +163,7 @@ def _judge(bag: Bag, chain: Sequence[_Edge], edges: Sequence[_Edge], base: str, 
         if others:
             notes.warning(
                 "/tf",
-                f"the frame {edge.child!r} has the parent {', '.join(map(repr, others))} beside {edge.parent!r}: the "
+                f"the frame {edge.child!r} has the parent {', '.join(map(repr, others))} and also {edge.parent!r}: the "
                 f"chain {' - '.join(_frames(chain, base))} is used",
             )
         if edge.unusable:

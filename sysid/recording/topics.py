@@ -158,16 +158,16 @@ def resolve(role: str, wanted: Mapping[str, str | None], bag: Mapping[str, Topic
 def camera_info_topic(
     camera: str,
     declared: Mapping[str, str | None],
-    beside: Iterable[str],
+    siblings: Iterable[str],
     only_camera: bool,
     bag: Mapping[str, TopicInfo],
     notes: Notes,
 ) -> str | None:
-    """Find the camera_info of a camera: as declared, else beside its other topics, else the only one."""
+    """Find the camera_info of a camera: as declared, else in the namespace of its other topics, else the only one."""
     topic = declared.get(camera)
     if topic is not None:
         return _named("camera_info", topic, bag, notes)
-    for other in beside:
+    for other in siblings:
         for suffix in ("marker_tracks", *ROLES["images"][0]):
             if other.strip("/").endswith(suffix):
                 near = "/" + (other.strip("/").removesuffix(suffix) + "camera_info")

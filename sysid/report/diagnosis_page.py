@@ -173,13 +173,13 @@ class Rival:
 
 
 def rivals(d: Diagnosis) -> list[Rival]:
-    """All that was tried, most probable first; the answer or answers are marked."""
-    answers = {(c.name, c.place) for c in d.effects}
+    """All that was tried, most probable first; those of the verdict are marked."""
+    named = {(c.name, c.place) for c in d.effects}
     placed = [(f"/effects/{k}", c) for k, c in enumerate(d.effects)]
-    rest = [(f"/alternatives/{k}", c) for k, c in enumerate(d.alternatives) if (c.name, c.place) not in answers]
+    rest = [(f"/alternatives/{k}", c) for k, c in enumerate(d.alternatives) if (c.name, c.place) not in named]
     out = []
     for at, c in [*placed, *sorted(rest, key=lambda found: -_finite(found[1].probability))]:
-        answer = (c.name, c.place) in answers
+        answer = (c.name, c.place) in named
         gain = c.held_out_gain
         out.append(
             Rival(
@@ -360,10 +360,10 @@ class Limit:
 
 def limits(d: Diagnosis) -> list[Limit]:
     """Upper limits of what is not an answer, with the words and units of the effects they belong to."""
-    answers = {c.name for c in d.effects}
+    named = {c.name for c in d.effects}
     out = []
     for key, value in d.upper_limits.items():
-        if key.removeprefix("effects.").split(".")[0] in answers:
+        if key.removeprefix("effects.").split(".")[0] in named:
             continue
         title, words, unit = _effect_words(key)
         scale = scale_for(unit, value)

@@ -24,7 +24,7 @@ HEAD = """# Experiments that identify materials
 
 Each picture shows the rig from the side at some instants, the paths of the end effectors, and the commanded
 displacement and turn against time. Each table says how well the readings of an experiment would determine each
-parameter: the relative standard deviation, which `thinshell plan` prints as `sd` beside the 95 % interval that follows
+parameter: the relative standard deviation, which `thinshell plan` prints as `sd` next to the 95 % interval that follows
 from it, about twice that either way. It allows for the noise that the rig declares, the error of mesh and time step,
 and all nuisances of a fit (time, bias, camera, pose); a dash where the readings do not tell. Values are those of the
 rig.
@@ -64,8 +64,8 @@ def parameters_of(rig: Rig, experiments: Sequence[Experiment]) -> list[str]:
     return list(dict.fromkeys(resolve_name(rig, name) for e in experiments for name in e.identifies))
 
 
-def page_beside(pictures: Path) -> Path:
-    """The page of a folder of pictures: ``DIR.md`` beside ``DIR``."""
+def page_path(pictures: Path) -> Path:
+    """The page of a folder of pictures: ``DIR.md`` next to ``DIR``."""
     pictures = pictures.absolute()
     return pictures.with_name(f"{pictures.name}.md")
 
@@ -73,12 +73,12 @@ def page_beside(pictures: Path) -> Path:
 def write_experiments(
     experiments: Sequence[Experiment], out: Path, page: bool, command: str, on_progress: Progress
 ) -> None:
-    """One SVG an experiment into the new folder ``out``; ``page``: also the page on them (:func:`page_beside`), which
+    """One SVG an experiment into the new folder ``out``; ``page``: also the page on them (:func:`page_path`), which
     says that ``command`` made it. All appear together, when all is done."""
     groups = [(load_rig(rig), members) for rig, members in by_rig(experiments).items()]
     with ExitStack() as together:
         folder = together.enter_context(whole_folder(out))
-        sheet = together.enter_context(whole_file(page_beside(out))) if page else None
+        sheet = together.enter_context(whole_file(page_path(out))) if page else None
         drawn = PICTURES if page else 1.0
         done = 0
         for rig, members in groups:
@@ -123,8 +123,10 @@ def _section(
         cells = [outlook.parameters[k].spread() or "\u2013" for outlook in outlooks]
         last = outlooks[-1].parameters[k]
         sources = ", ".join(f"{c} {100 * s:.0f} %" for c, s in last.from_channels.items() if s >= 0.05)
-        told = sources if last.determined else ""
-        lines.append(f"| `{name}` | {last.value:.4g} {last.unit} | {' | '.join(cells)} | {told} |".replace("  ", " "))
+        sources_text = sources if last.determined else ""
+        lines.append(
+            f"| `{name}` | {last.value:.4g} {last.unit} | {' | '.join(cells)} | {sources_text} |".replace("  ", " ")
+        )
     lines += ["", *_stiffnesses(rig, outlooks[-1])]
     words = " ".join(e.name for e in experiments)
     lines += [f"`thinshell plan {rig.name} {words} --params {','.join(names)}`", ""]

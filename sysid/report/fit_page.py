@@ -72,7 +72,7 @@ def write_fit_report(result: FitResult, path: Path) -> Path:
         lead=lead(result, undetermined),
         tiles=tiles(result, undetermined),
         parameters=[estimate_row(e, e.name in undetermined) for e in result.estimates],
-        nuisances=nuisance_rows([n for n in result.nuisances if n.told]),
+        nuisances=nuisance_rows([n for n in result.nuisances if n.informed]),
         profiles=profile_pictures(result.profiles),
         correlation=correlation_cells([e.name for e in result.estimates], result.correlation),
         runs=runs,

@@ -30,7 +30,7 @@ class Number:
     at: str = ""
 
     def found_at(self, at: str, unit: str = "") -> Number:
-        """The same number with its place in the result, and the unit that stands beside it."""
+        """The same number with its place in the result, and the unit that is printed with it."""
         return replace(self, at=at, unit=unit)
 
 

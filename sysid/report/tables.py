@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 NUISANCES = re.compile(r"\.(latency_s|offset_r?[xyz]_(m|deg)|[fc][xy]_px|scale_m_per_px)$")
-"""Names of the numbers of a rig that fits allow for beside what they are asked for."""
+"""Names of the numbers of a rig that fits estimate with what they are asked for."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def named_row(parameter: NamedParameter, at: str) -> ParameterRow:
 
 
 def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[ParameterRow]:
-    """Rows of what was estimated beside the parameters; those of a unit share its prefix."""
+    """Rows of what was estimated with the parameters; those of a unit share its prefix."""
     sizes: dict[str, list[float]] = {}
     for n in nuisances:
         sizes.setdefault(n.unit, []).append(max(abs(end) for end in n.ci95))

@@ -15,12 +15,12 @@ class DiagnosisSettings:
     # baseline
     baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
     baseline_evaluations_beside: int = setting(
-        5, "1", "Evaluations allowed to it beside the error of mesh and time step, measured where it came to.", "cost"
+        5, "1", "Evaluations allowed to it with the error of mesh and time step, measured where it came to.", "cost"
     )
     fit_tolerance: float = setting(
         2.0,
         "1",
-        "Fall of chi-square, in units of the misfit, below which fits of the baseline and of answers end.",
+        "Fall of chi-square, in units of the misfit, below which fits of the baseline and of candidate models end.",
         "judgement",
     )
     branch_misfit_ratio: float = setting(
@@ -132,7 +132,7 @@ class DiagnosisSettings:
         "third, 20 % where it is a half.",
         "judgement",
     )
-    window_parts: int = setting(8, "1", "Parts of a window that are told apart.", "convention")
+    window_parts: int = setting(8, "1", "Parts of a window that are distinguished.", "convention")
     closure_sd: Mapping[str, float] = setting(
         {"E_pa": 0.5, "friction": 0.3, "density_kg_m3": 0.3, "_m": 1e-3, "_deg": 1.0},
         "fitted scale",

@@ -11,7 +11,7 @@ from sim_core.settings import setting
 @dataclass(frozen=True)
 class DiscretisationSettings:
     """Settings of meshes and time steps: budgets of their error, refinement at contacts, and how far they are
-    believed."""
+    extrapolated."""
 
     # error of mesh and time step
     error_rounds: int = setting(8, "1", "Times that the error is measured and the fit repeated.", "cost")
@@ -25,7 +25,7 @@ class DiscretisationSettings:
     slopes_reach: float = setting(
         0.25,
         "plausible ranges",
-        "How far derivatives of the discretisation error are believed, in plausible ranges of a parameter.",
+        "How far derivatives of the discretisation error are extrapolated, in plausible ranges of a parameter.",
         "judgement",
     )
     loud_error_ratio: float = setting(

@@ -35,7 +35,7 @@ class FitSettings:
     )
 
     # starts
-    most_restarts: int = setting(4, "1", "Searches that a whole fit makes from beside the best so far.", "cost")
+    most_restarts: int = setting(4, "1", "Searches that a whole fit starts near the best so far.", "cost")
     restart_width: float = setting(
         0.05, "unit steps", "Standard deviation of restarts about the best so far.", "judgement"
     )
@@ -46,7 +46,9 @@ class FitSettings:
         "way for a modulus, 0.35 for friction.",
         "judgement",
     )
-    draws_per_start: int = setting(4, "1", "Draws, without derivatives, for each start beside the rig's own.", "cost")
+    draws_per_start: int = setting(
+        4, "1", "Draws, without derivatives, for each start other than the rig's own.", "cost"
+    )
     offset_draws: int = setting(32, "1", "Draws, without derivatives, of the offsets of all end effectors.", "cost")
     offset_searches: int = setting(
         3, "1", "Searches from other offsets, of which each must bring something for the next to be made.", "cost"
@@ -133,7 +135,7 @@ class FitSettings:
         "fits learn their discretisation error.",
         "judgement",
     )
-    coverage_progress_s: float = setting(1.0, "s", "Progress is told at least as often.", "judgement")
+    coverage_progress_s: float = setting(1.0, "s", "Progress is reported at least as often.", "judgement")
 
 
 FIT = FitSettings()

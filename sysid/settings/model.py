@@ -75,7 +75,7 @@ class ModelSettings:
         "judgement",
     )
     window_rest_sd: float = setting(
-        6.0, "sd", "Difference from rest, over its standard deviation, that is told.", "judgement"
+        6.0, "sd", "Difference from rest, over its standard deviation, that is reported.", "judgement"
     )
 
 

@@ -70,7 +70,7 @@ class NoiseSettings:
     trend_crossings: float = setting(
         6.0,
         "1",
-        "Zero crossings of readings beside a straight line, up to which a smooth stretch may be a trend.",
+        "Crossings of readings with a straight line, up to which a smooth stretch may be a trend.",
         "judgement",
     )
     held_reading_share: float = setting(
@@ -102,7 +102,7 @@ class NoiseSettings:
         400, "1", "Samples of a stretch up to which it matters what a line takes away from coloured noise.", "cost"
     )
     white_correlation: float = setting(0.1, "1", "Correlation up to which noise counts as white.", "judgement")
-    largest_correlation: float = setting(0.98, "1", "Largest correlation of noise that is believed.", "judgement")
+    largest_correlation: float = setting(0.98, "1", "Largest correlation of noise that is accepted.", "judgement")
 
     # sampling
     shortest_interval: float = setting(
@@ -147,7 +147,7 @@ class NoiseSettings:
     longest_correlation_share: float = setting(
         0.2,
         "1",
-        "Longest correlation length, in lengths of the longest recording: what is slower is not told from a parameter.",
+        "Longest correlation length, in lengths of the longest recording: slower drift looks like a parameter.",
         "judgement",
     )
     largest_lag_share: float = setting(1.0 / 3.0, "1", "Largest lag, in lengths of the longest recording.", "judgement")
@@ -156,12 +156,12 @@ class NoiseSettings:
         6.0,
         "1",
         "By how much colour must lower the sum of squares over lags, in units of their variance by white "
-        "noise, to be believed.",
+        "noise, to be accepted.",
         "judgement",
     )
     spectrum_frequencies: int = setting(512, "1", "Frequencies that a spectrum is averaged over.", "cost")
     white_part_gain: float = setting(
-        4.0, "nats", "Log likelihood that a white part beside the coloured one must be worth.", "judgement"
+        4.0, "nats", "Log likelihood that a white part in addition to the coloured one must be worth.", "judgement"
     )
     trend_degree: int = setting(
         2,
@@ -175,7 +175,7 @@ class NoiseSettings:
     colour_intervals: float = setting(
         10.0,
         "sampling intervals",
-        "Prior median of the sampling intervals over which coloured noise beside white is correlated.",
+        "Prior median of the sampling intervals over which coloured noise, next to white, is correlated.",
         "judgement",
     )
     colour_intervals_log_sd: float = setting(

@@ -180,7 +180,7 @@ class ObservationsSettings:
     rate_ratio: float = setting(
         4.0, "1", "Factor between the rates from which stamps, or the rig, are wrong.", "judgement"
     )
-    rate_samples: int = setting(20, "1", "Samples from which a rate is told.", "judgement")
+    rate_samples: int = setting(20, "1", "Samples from which a rate is estimated.", "judgement")
 
     # repeated readings
     repeated_share: float = setting(
@@ -189,7 +189,7 @@ class ObservationsSettings:
         "Share of messages that repeat the one before from which a publisher is faster than its sensor.",
         "judgement",
     )
-    repeated_fewest: int = setting(10, "1", "Repeated messages from which that is told.", "judgement")
+    repeated_fewest: int = setting(10, "1", "Repeated messages from which that is reported.", "judgement")
     repeated_chance: float = setting(
         1e-2, "1", "Share of the repetitions that chance may make, by how often single columns repeat.", "statistics"
     )
@@ -256,7 +256,9 @@ class ObservationsSettings:
     start_near_deg: float = setting(
         10.0, "deg", "Angle within which another reading of the numbers agrees with the rig.", "judgement"
     )
-    unit_position_m: float = setting(1e-3, "m", "Sizes of positions below which units cannot be told.", "judgement")
+    unit_position_m: float = setting(
+        1e-3, "m", "Sizes of positions below which units cannot be recognised.", "judgement"
+    )
     fast_turn_rad_s: float = setting(
         30.0,
         "rad/s",
@@ -282,7 +284,7 @@ class ObservationsSettings:
     )
 
     # two publishers
-    two_source_samples: int = setting(40, "1", "Samples from which two sources are told.", "judgement")
+    two_source_samples: int = setting(40, "1", "Samples from which two sources are recognised.", "judgement")
     two_source_variance_share: float = setting(
         0.05,
         "1",

@@ -44,7 +44,9 @@ class SetupCheckSettings:
         "Turns of a sensor or camera on holes of another pattern.",
         "convention",
     )
-    same_turn_deg: float = setting(3.0, "deg", "Turn of a first pose below which it is told without one.", "judgement")
+    same_turn_deg: float = setting(
+        3.0, "deg", "Turn of a first pose below which it is printed without one.", "judgement"
+    )
     same_place_m: float = setting(1e-4, "m", "Distance of a first pose from the rig's start that is none.", "judgement")
     size_log_reach: float = setting(
         9.0, "1", "Logarithms of sizes of a prediction that are tried, either way.", "convention"

@@ -80,7 +80,7 @@ class SolveSettings:
     cut_step_share: float = setting(
         0.99, "1", "A step of more than this share of the radius may have been cut by it.", "judgement"
     )
-    model_points: int = setting(6, "1", "Points beside the best that take part in the model, the newest.", "cost")
+    model_points: int = setting(6, "1", "Points other than the best that take part in the model, the newest.", "cost")
     kept_points: int = setting(12, "1", "Points that are kept, the newest.", "cost")
     final_steps: int = setting(
         3, "1", "Steps within the tolerance that are taken, since they are not short, before the search ends.", "cost"

@@ -57,10 +57,10 @@ class UncertaintySettings:
     deviance_root: float = setting(
         1.959964, "sd", "Root of the deviance at the ends of an interval of 95 %.", "statistics"
     )
-    believed_roots: tuple[float, ...] = setting(
+    accepted_roots: tuple[float, ...] = setting(
         (1.5, 2.5),
         "sd",
-        "Roots of the deviance at the ends of a quadratic interval that is believed: 23 % off at the most.",
+        "Roots of the deviance at the ends of a quadratic interval that is accepted: 23 % off at the most.",
         "judgement",
     )
     farthest_ranges: float = setting(3.0, "plausible ranges", "Farthest that a parameter is taken.", "cost")

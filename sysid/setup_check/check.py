@@ -43,7 +43,7 @@ def check_setup(rig: Rig, run: Run) -> SetupCheck:
 
 
 def _finding(comparison: Comparison, named: Sequence[Tried]) -> Finding:
-    best, *others = told(named)
+    best, *others = likeliest_of_each_kind(named)
     shown = [f"{t.mistake.words} ({t.mistake.line})" for t in others]
     as_well = f" The recording would be explained as well if {'; or if '.join(shown)}." if shown else ""
     line = best.mistake.line
@@ -60,7 +60,7 @@ def _finding(comparison: Comparison, named: Sequence[Tried]) -> Finding:
     )
 
 
-def told(named: Sequence[Tried]) -> list[Tried]:
+def likeliest_of_each_kind(named: Sequence[Tried]) -> list[Tried]:
     """The likeliest mistake, and the likeliest of each other kind that explains the recording as well."""
     firsts = {t.mistake.kind: t for t in reversed(named)}
     return sorted(firsts.values(), key=lambda t: -t.among_mistakes)

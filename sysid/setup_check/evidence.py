@@ -99,13 +99,13 @@ class Quantity:
         return float(((y - size * mu) ** 2).sum() / unit), float((y**2).sum() / unit)
 
     def placed(self, predicted: np.ndarray, size: float) -> float:
-        """Root mean square of the constants by which markers lie beside a prediction of a size, over the size of their
+        """Root mean square of the constants by which markers differ from a prediction of a size, over the size of their
         layout; 0 for what has no place."""
         if not self.places:
             return 0.0
         y, mu = self._compared(predicted)
-        beside = (y - size * mu).mean(axis=0)
-        return float(np.sqrt(np.mean(beside**2))) * SETUP_CHECK.layout_error / max(self.bias, 1e-300)
+        offset = (y - size * mu).mean(axis=0)
+        return float(np.sqrt(np.mean(offset**2))) * SETUP_CHECK.layout_error / max(self.bias, 1e-300)
 
     def _compared(self, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         y, mu = _filled(self.values), _filled(predicted)
@@ -116,7 +116,7 @@ class Quantity:
 class Evidence:
     """Log likelihood of the likeliest ``size`` of the prediction, and the relative ``error`` of the model there;
     ``left``: root mean square of what it leaves about the biases, over that of the readings; ``placed``: that of the
-    constants by which markers are beside it, over the size of their layout."""
+    constants by which markers differ from it, over the size of their layout."""
 
     log: float
     size: float

@@ -26,8 +26,8 @@ class Mistake:
 
     ``kind``: a word for its kind, the same for all recordings; ``words``: what is wrong, a clause;
     ``line``: what to write into the rig, or what to do; ``part``: sensor, camera or end effector; ``weight``: how
-    common it is beside others. One of the two: ``readings`` maps the readings ``(k, m)`` of the channel ``part`` that
-    the right set-up gives to those that are recorded; ``poses`` maps recorded poses to the true ones.
+    common it is relative to others. One of the two: ``readings`` maps the readings ``(k, m)`` of the channel ``part``
+    that the right set-up gives to those that are recorded; ``poses`` maps recorded poses to the true ones.
     """
 
     kind: str
@@ -70,7 +70,7 @@ def axes_of(matrix: np.ndarray) -> str:
 
 
 def pose_text(position: np.ndarray, rotation: Rotation) -> str:
-    """A pose as a rig file has it; by its quaternion where roll and yaw are not told apart."""
+    """A pose as a rig file has it; by its quaternion where roll and yaw are degenerate."""
     if np.degrees(rotation.magnitude()) < 1e-6:
         return f"{{position_m: {numbers(position, 5)}}}"
     if abs(rotation.as_matrix()[2, 0]) > 1.0 - 1e-9:

@@ -1,12 +1,13 @@
-"""Mistakes in what poses are of, and in what they are told in: another point of the tool, another base, axes, fingers.
+"""Mistakes in what poses are of, and in the frame that they refer to: another point of the tool, another base, axes,
+fingers.
 
-Where a recording begins the hands are mostly where the rig has them. A pose that is told of another point of the tool
+Where a recording begins the hands are mostly where the rig has them. A pose of another point of the tool
 (the flange, say) or in another frame (that of the robot's foot) differs from the rig's start by just that constant:
 
-    P_told = P_true T    (tool),    T = S^-1 P_told(0)
-    P_told = B P_true    (base),    B = P_told(0) S^-1
+    P_stated = P_true T    (tool),    T = S^-1 P_stated(0)
+    P_stated = B P_true    (base),    B = P_stated(0) S^-1
 
-with S the start of the rig. Discrete mistakes need no such guess: exchanged and reversed axes, a pose that is told the
+with S the start of the rig. Discrete mistakes need no such guess: exchanged and reversed axes, a pose that is given the
 wrong way round, fingers that are exchanged. They are tried where the start that they lead to is nearer to the rig's.
 """
 
@@ -43,7 +44,7 @@ def pose_mistakes(rig: Rig, poses: Poses, reach_m: float) -> list[Mistake]:
         anchored.append(list(_anchored(name, rest, first)))
         found += anchored[-1]
         found += _exchanged_axes(name, rest, first, reach_m)
-        found += _told_inversely(name, rest, first, reach_m)
+        found += _inverted_pose(name, rest, first, reach_m)
     names = list(poses)
     found = [replace(mistake, weight=mistake.weight / len(names)) for mistake in found]  # it may be in any hand
     for k, one in enumerate(names):
@@ -83,7 +84,7 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
     if not turned and not far:
         return
     none, still = np.zeros(3), Rotation.identity()
-    # A flange is beside the tool along one of its axes, whether or not the hand begins at the rig's start.
+    # A flange is off the tool along one of its axes, whether or not the hand begins at the rig's start.
     alone = [axis for axis in np.diag(shift) if np.linalg.norm(axis) > SETUP_CHECK.same_place_m]
     offsets = [(axis, 1.0) for axis in alone]
     if len(alone) > 1:  # two offsets are two mistakes at once
@@ -115,7 +116,7 @@ def _anchored(name: str, rest: Frame, first: Frame) -> Iterator[Mistake]:
         angle = np.degrees(rotation.magnitude())
         how = f" and turned by {angle:.3g} degrees" if angle > SETUP_CHECK.same_turn_deg else ""
         yield Mistake(
-            "base for base_link", f"the poses of {name} are told in another base, at {numbers(-back)} m{how}",
+            "base for base_link", f"the poses of {name} are given in another base, at {numbers(-back)} m{how}",
             f"end_effectors.{name}.topics.base: {pose_text(back, inverse)}", name, 1.0,
             poses=_of_one(name, partial(_of_base, back, inverse)),
         )  # fmt: skip
@@ -147,7 +148,7 @@ def _exchanged_axes(name: str, rest: Frame, first: Frame, reach_m: float) -> Ite
             )  # fmt: skip
 
 
-def _told_inversely(name: str, rest: Frame, first: Frame, reach_m: float) -> Iterator[Mistake]:
+def _inverted_pose(name: str, rest: Frame, first: Frame, reach_m: float) -> Iterator[Mistake]:
     """The base seen from the tool."""
     back = first[1].inv()
     if np.linalg.norm(-back.apply(first[0]) - rest[0]) > max(reach_m, 0.5 * np.linalg.norm(first[0] - rest[0])):

@@ -21,7 +21,7 @@ SHORTEST_S, LONGEST_S = 2.0, 12.0
 """Length of an animation, which otherwise takes as long as the motion."""
 
 GIF_COLOURS, GIF_STATES = 223, 4
-"""Colours of a GIF beside those of values and white, and states that they are chosen from."""
+"""Colours of a GIF in addition to those of values and white, and states that they are chosen from."""
 
 
 def animate(subject: Subject, coloured: Colouring | None, path: Path, say: Progress) -> None:

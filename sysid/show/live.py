@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import viser
 
 HOST, PORT = "localhost", 8080
-"""Where the viewer is served unless told otherwise: to this machine alone."""
+"""Where the viewer is served by default: to this machine alone."""
 
 SPEEDS = {"1/20": 0.05, "1/5": 0.2, "1/2": 0.5, "1": 1.0, "2": 2.0, "5": 5.0}
 """Speeds of playing, over that of the motion."""

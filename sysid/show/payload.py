@@ -25,7 +25,7 @@ LARGEST_BYTES = 4_200_000
 
 
 class _Block:
-    """Arrays one after the other; what is added is told by offset, count and type."""
+    """Arrays one after the other; what is added is addressed by offset, count and type."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []

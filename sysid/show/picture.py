@@ -371,7 +371,7 @@ class Board:
         offset: tuple[int, int],
         weight: str = "normal",
     ) -> None:
-        """Words beside a point, moved down as far as other words of the same panel are in the way."""
+        """Words next to a point, moved down as far as other words of the same panel are in the way."""
         from matplotlib.patheffects import withStroke
 
         if not np.isfinite(at).all() or (at < 0).any() or (at > np.array(view.size)).any():

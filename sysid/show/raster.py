@@ -284,9 +284,9 @@ def _lit(colours: np.ndarray, normals: np.ndarray, view: View, light: float) -> 
     key = -0.55 * forward - 0.62 * down - 0.55 * right
     key /= np.linalg.norm(key)
     towards = np.where(normals @ forward > 0.0, -1.0, 1.0)[..., None] * normals
-    beside, ahead = np.maximum(towards @ key, 0.0), np.maximum(towards @ -forward, 0.0)
-    lit = 0.62 + 0.26 * beside + 0.20 * ahead
-    found = colours * (1.0 + 1.8 * light * (lit - 0.95))[..., None] + (0.10 * light * beside**24)[..., None]
+    sideways, ahead = np.maximum(towards @ key, 0.0), np.maximum(towards @ -forward, 0.0)
+    lit = 0.62 + 0.26 * sideways + 0.20 * ahead
+    found = colours * (1.0 + 1.8 * light * (lit - 0.95))[..., None] + (0.10 * light * sideways**24)[..., None]
     return np.asarray(np.clip(found, 0.0, 1.0))
 
 

@@ -39,7 +39,7 @@ def held_vertices(subject: Subject) -> dict[str, np.ndarray]:
             for label, holder in held_nodes(subject.rig, body).items():
                 if not label.endswith((".bond", "_cut")):
                     inside |= holder.inside
-        except ThinshellError:  # a clamp that holds nothing is told elsewhere
+        except ThinshellError:  # a clamp that holds nothing is reported elsewhere
             pass
         found[skin.body] = inside[skin.nodes - body.nodes[0]]
     return found

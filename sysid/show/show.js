@@ -6,7 +6,7 @@
   const head = JSON.parse($("head").textContent);
   const failed = (text) => { const d = document.createElement("div"); d.className = "failed"; d.textContent = text; $("stage").append(d); };
   const packed = Uint8Array.from(atob($("block").textContent), (c) => c.charCodeAt(0));
-  if (typeof DecompressionStream === "undefined") return failed("This browser is too old to unpack the page. The picture beside it shows the same.");
+  if (typeof DecompressionStream === "undefined") return failed("This browser is too old to unpack the page. The picture next to it shows the same.");
   const raw = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
   const kinds = { uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array };
   const read = (e) => new kinds[e.type](raw, e.at, e.count);
@@ -33,7 +33,7 @@
 
   // ---- WebGL
   const canvas = $("gl"), gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: false, preserveDrawingBuffer: true });
-  if (!gl) return failed("This browser has no WebGL 2. The picture beside this page shows the same.");
+  if (!gl) return failed("This browser has no WebGL 2. The picture next to this page shows the same.");
   const program = (vertex, fragment) => {
     const p = gl.createProgram();
     for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {

@@ -151,10 +151,10 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
         say(0.0, finding.text)
     times = step_times(0.0, end, rig.solver.dt_s) if end > 0.0 else np.zeros(1)
     sampled = {name: trajectory.sample(times) for name, trajectory in poses.items()}
-    told = [{n: frame_of(p[k], q[k]) for n, (p, q) in sampled.items()} for k in range(len(times))]
+    nominal = [{n: frame_of(p[k], q[k]) for n, (p, q) in sampled.items()} for k in range(len(times))]
     try:
         simulation = Simulation(build_scene(rig))
-        simulation.reset(told[0])
+        simulation.reset(nominal[0])
     except ThinshellError as error:
         return _commanded(layout, poses, times, title, what, findings, error)
     shown = set(np.unique(np.linspace(0, len(times) - 1, min(FRAMES, len(times))).round().astype(int)))
@@ -163,7 +163,7 @@ def rolled(rig: Rig, poses: Mapping[str, PoseTrajectory], end: float, title: str
     kept, readings = [0], [simulation.read()]
     for k in range(1, len(times)):
         try:
-            simulation.step(told[k], float(times[k] - times[k - 1]))
+            simulation.step(nominal[k], float(times[k] - times[k - 1]))
         except ConvergenceError as error:
             findings.append(
                 Finding(
@@ -197,9 +197,9 @@ def _commanded(
     some = times[np.unique(np.linspace(0, len(times) - 1, min(FRAMES, len(times))).round().astype(int))]
     frames = layout.frames_along(poses, some)
     states = resting(layout, np.stack([layout.carried(f) for f in frames]), frames)
-    told = Finding("not simulated", f"This is the commanded motion alone, without any mechanics: {error.problem}",
+    missing = Finding("not simulated", f"This is the commanded motion alone, without any mechanics: {error.problem}",
                    error.remedy)  # fmt: skip
-    return _subject(layout, title, what, some, states, [told, *findings], None, float(times[-1]))
+    return _subject(layout, title, what, some, states, [missing, *findings], None, float(times[-1]))
 
 
 def untouched(rig: Rig, states: StateHistory, known: list[Finding]) -> list[Finding]:

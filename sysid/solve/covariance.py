@@ -6,7 +6,7 @@ estimate H^-1 (sum_b s_b s_b^T) H^-1 over blocks b of neighbouring samples (s_b 
 not trust the noise model in time (White 1982; Newey & West 1987), and that of the colour of what the fit leaves
 (:mod:`sysid.noise.autocorrelation`).
 
-Sentences are about the parameters that were asked for, with the nuisances beside them projected out.
+Sentences are about the parameters that were asked for, with the nuisances projected out.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations ``(p,)`` by the jacobian of a fit, by how much they exceed what the noise says ``(p,)``, and
     correlation ``(p, p)``.
 
-    The search weighs recordings by 1 / kappa beside what was known before (:mod:`sysid.solve.gauss_newton`). Its
+    The search weighs recordings by 1 / kappa against the prior (:mod:`sysid.solve.gauss_newton`). Its
     estimate has the covariance A (J^T S J / kappa^2 + P) A, where A = (J^T J / kappa + P)^-1 and J^T S J is that of the
     scores.
     """
@@ -101,10 +101,10 @@ def _spread(fitted: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     kappa = max(overdispersion(fitted), reduced) if fitted.has_prior else 1.0
     inverse = inverse_information(_tempered(fitted, kappa), prior)
     plain = inverse_information(_tempered(fitted, reduced), prior)
-    told, known = np.split(fitted.jacobian, [len(fitted.jacobian) - fitted.pulls])
+    data, known = np.split(fitted.jacobian, [len(fitted.jacobian) - fitted.pulls])
     scores = _scores(fitted, fitted.residual)
     sandwich = inverse @ (scores.T @ scores / kappa**2 + known.T @ known) @ inverse
-    colour = told.T @ told + autocorrelated_scores(fitted.parts, inverse / kappa)
+    colour = data.T @ data + autocorrelated_scores(fitted.parts, inverse / kappa)
     coloured = inverse @ (colour / kappa**2 + known.T @ known) @ inverse
     variance = np.max([np.diag(v) for v in (plain, sandwich, coloured)], axis=0)
     sd = np.minimum(np.sqrt(np.maximum(variance, 0.0)), SOLVE.widest_sd * prior)
@@ -183,8 +183,8 @@ def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[Finding]:
         if len(strong) == 1:
             p = parameters[strong[0]]
             low, high = interval(p, *at[p.name])
-            told = f"{f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well"
-            out.append(_not_told(p, told))
+            both = f"{f'{low:.3g} to {high:.3g} {p.unit}'.strip()} fit about as well"
+            out.append(_not_determined(p, both))
             continue
         changes = []
         for k in strong:
@@ -204,16 +204,16 @@ def _undetermined(fitted: Fitted, sd: np.ndarray) -> list[Finding]:
     return out
 
 
-def _not_told(parameter: FitParameter, why: str) -> Finding:
+def _not_determined(parameter: FitParameter, why: str) -> Finding:
     name = parameter.name
     remedy = "Record a motion that depends on it, or fix it."
     return Finding(f"The data do not determine {name}: {why}. {remedy}", (name,))
 
 
 def _no_more_than_known(parameter: FitParameter, reduced: float) -> Finding:
-    """Recordings that a rig misses by far count for nothing beside what was known: nobody knows what they would say."""
+    """Recordings that a rig misses by far count for nothing against the prior: what they would say is unknown."""
     if reduced <= SOLVE.poor_reduced_chi2:
-        return _not_told(parameter, "its interval is what was known of it before")
+        return _not_determined(parameter, "its interval is what was known of it before")
     sentence = (
         f"What was known of {parameter.name} before alone decides on it, since the rig misses the recordings by "
         f"{np.sqrt(reduced):.2g} times their noise. Fit without that to see what they ask for."
@@ -239,7 +239,7 @@ def _wide(fitted: Fitted, sd: np.ndarray, said: set[str]) -> list[Finding]:
             where = f"is {first:.3g} to {last:.3g} {p.unit}".rstrip()
         else:
             continue
-        out.append(_not_told(p, f"its 95 % interval {where}"))
+        out.append(_not_determined(p, f"its 95 % interval {where}"))
     return out
 
 

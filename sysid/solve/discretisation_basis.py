@@ -51,7 +51,7 @@ class ErrorShape:
     """A known shape of error for each run and channel, with an uncertain size that may drift.
 
     ``shapes[run index][channel]``: ``(n, m)`` in measured units, as measured at the scaled parameters
-    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, believed up to
+    ``at`` ``(p,)``; ``slopes``: their derivatives by the parameters ``(n, m, p)``, where they are known, used up to
     ``reach`` ``(p,)`` to either side, scaled; empty: however far. Size: normal with ``mean`` and ``sd``.
     ``sight``: which readings were in sight in all that was measured, bool ``(n, m)``; empty: all. ``unforeseen``:
     largest changes ``(n, m)`` from one measurement to the next that slopes did not tell, where known.
@@ -150,7 +150,7 @@ class Basis:
         away = np.clip(scaled[: len(self.at)] - self.at, -self.reach, self.reach)
         return np.asarray(self.expected + self.slopes @ away)
 
-    def follows(self, scaled: np.ndarray) -> np.ndarray:
+    def in_reach(self, scaled: np.ndarray) -> np.ndarray:
         """1 for each parameter of ``slopes`` with which the expected error changes at scaled parameters, 0 beyond its
         reach ``(p,)``."""
         return np.asarray((np.abs(scaled[: len(self.at)] - self.at) <= self.reach).astype(float))
@@ -168,7 +168,7 @@ def added(parts: Sequence[Changes], coefficients: np.ndarray) -> np.ndarray:
     return np.asarray(sum(p.shape[:, :, None] * np.tensordot(p.functions, c, 1) for p, c in each))
 
 
-def told(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarray:
+def added_transpose(parts: Sequence[Changes], values: np.ndarray, shared: bool) -> np.ndarray:
     """The transpose of :func:`added`: values ``(n, m, q)`` times what each coefficient adds ``(l, m or 1, q)``."""
     found = []
     for p in parts:
@@ -224,7 +224,7 @@ def basis_of(
     return Basis(expected, slopes, at, reach, tuple(common), tuple(own), rough, *sizes)
 
 
-def believed(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
+def credible_error(taken: np.ndarray, basis: Basis, measured: Measured) -> np.ndarray:
     """Of what the most probable coefficients take for the discretisation error of a channel ``(n, m)``, without a bias,
     as much as may be: in no quantity more than ``SOLVE.allowed_error_factor`` times the largest thereabouts, rms over
     the columns.

@@ -8,7 +8,7 @@ so that parameters do not run to where no material is to cover what the model la
 van Ommen 2017). As the fit improves kappa falls, and the next stage goes on with what it is then, down to 1.
 
 Where the calibration of sensors alone, a camera that was knocked say, makes up most of what is missed at the start, it
-is searched for first: beside thousands of pixels' standard deviations that are off in every picture, each material is
+is searched for first: next to thousands of pixels' standard deviations that are off in every picture, each material is
 good that takes some of them, and the search would end far from where it began.
 """
 
@@ -26,12 +26,12 @@ from sysid.solve.covariance import overdispersion, uncertainty
 from sysid.solve.nonsmooth_trust_region import USED_UP, End, Point, minimise
 from sysid.solve.optimum import Fitted
 
-HALTED = "it came on slowly beside an error of mesh and time step that was measured elsewhere"
+HALTED = "it came on slowly with an error of mesh and time step that was measured elsewhere"
 
 
 class Search:
     """One minimisation. ``evaluate``: the problem at scaled values ``(p,)``; ``parameters``: at least one;
-    ``on_evaluation``: told after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
+    ``on_evaluation``: called after each evaluation, also one that failed, what is best so far. ``halt``: whether to end
     the search before its time, given the best chi-square after each evaluation; ``calibrated``: which parameters are
     the calibration of sensors ``(p,)``, which changes readings and no motion."""
 

@@ -82,11 +82,11 @@ def minimise(
     best, refused, fine, doubtful, lost = begin, 0, 0, False, False
     near: list[Point] = []
     while True:
-        beside = [p for p in near if _within(p, best, SOLVE.model_radii * radius) and _other(p, best, tolerance)][
+        neighbours = [p for p in near if _within(p, best, SOLVE.model_radii * radius) and _other(p, best, tolerance)][
             -SOLVE.model_points :
         ]
-        step, promised = _step(best, [_on_the_way(best, p) for p in beside], radius, bounds)
-        if promised <= tolerance and beside:
+        step, promised = _step(best, [_on_the_way(best, p) for p in neighbours], radius, bounds)
+        if promised <= tolerance and neighbours:
             radius, doubtful = 0.5 * radius, True
             continue
         length = float(np.max(np.abs(step)))
@@ -130,7 +130,7 @@ def minimise(
 def _edge(
     best: Point, refused: list[Point], bounds: tuple[np.ndarray, np.ndarray], tolerance: float, radius: float
 ) -> End:
-    """The end at the best point though derivatives promise more: beside a kink, or beside a jump that hides much."""
+    """The end at the best point though derivatives promise more: at a kink, or at a jump that hides much."""
     hidden = _step(best, [], 1.0, bounds)[1]
     if hidden > SOLVE.serious_fall * tolerance and any(_jump(best, p) > tolerance for p in refused):
         return End(best, False, AT_JUMP, radius)
@@ -152,8 +152,8 @@ def _within(point: Point, best: Point, reach: float) -> bool:
 def _other(point: Point, best: Point, tolerance: float) -> bool:
     """The derivatives at the best do not hold as far as this point."""
     said = best.residual + best.jacobian @ (point.x - best.x)
-    told = float(said @ said)
-    return abs(told - point.square) > SOLVE.beyond_kink_share * (abs(told - best.square) + tolerance)
+    predicted = float(said @ said)
+    return abs(predicted - point.square) > SOLVE.beyond_kink_share * (abs(predicted - best.square) + tolerance)
 
 
 def _on_the_way(best: Point, point: Point) -> np.ndarray:

@@ -55,7 +55,7 @@ class Fitted:
 
     @property
     def cut_short(self) -> bool:
-        """Nothing is to be searched any more, from elsewhere or beside another error."""
+        """Nothing is to be searched any more, from elsewhere or with another error."""
         return self.interrupted or self.limited
 
     @property
@@ -79,7 +79,7 @@ class Fitted:
         hidden = 0 if self.sight is None else int(np.count_nonzero(~self.sight))
         return len(self.residual) - hidden - sum(c.number for c in self.sizes.values()) - self.pulls
 
-    def beside(self, other: Fitted) -> tuple[float, float]:
+    def common_chi2(self, other: Fitted) -> tuple[float, float]:
         """Chi-square of this and of another outcome of the same problem, over what both have in sight."""
         both = np.ones(len(self.residual), dtype=bool)
         for there in (self.sight, other.sight):

@@ -1,7 +1,7 @@
 """Readings that are mistakes: of a tracker, misdetections, exchanged numbers, jumps that come back; of a force sensor,
 single spikes (:mod:`sysid.solve.wrench_spikes`). What follows is about markers.
 
-Least squares believes every reading, and one that is 50 noise deviations off counts 2500 times. Readings are therefore
+Least squares trusts every reading, and one that is 50 noise deviations off counts 2500 times. Readings are therefore
 looked at one by one, as vectors of a marker in a frame, and those that are mistakes get the weight 0, all others 1.
 A loss with long tails would shrink what honest readings say, and would take away from a law that is missing what makes
 it known. A reading is where another marker should be that is elsewhere itself, which no motion explains, or it stands
@@ -20,7 +20,7 @@ for a mixture of the noise and of a rare, wide scatter (a contaminated normal di
 widths are found by expectation maximisation; a mistake is more probably of the latter.
 
 Nothing is left out where fewer than ``SOLVE.outlier_markers`` markers are seen, which are too few to compare, and where
-half of the readings are far from the model, beside which none is an exception. What remains in doubt is a lone marker
+half of the readings are far from the model, among which none is an exception. What remains in doubt is a lone marker
 that is displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it. Diagnoses look
 at every reading all the same.
 """
@@ -120,9 +120,9 @@ def without_outliers(
             if not mask.any():
                 measured.append(m)
                 continue
-            told = _told(run.name, m, mask)
-            found.append(told)
-            gone = np.repeat(mask & (not told.kept), DIMENSIONS.get(m.kind, 1), axis=1)
+            excluded = _outliers_of(run.name, m, mask)
+            found.append(excluded)
+            gone = np.repeat(mask & (not excluded.kept), DIMENSIONS.get(m.kind, 1), axis=1)
             measured.append(replace(m, values=np.where(gone, np.nan, m.values)))
         clean.append(replace(run, measured=tuple(measured)))
     return clean, found
@@ -181,7 +181,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     place = predicted.reshape(seen.shape)
     miss = seen - place
     there = np.isfinite(miss).all(axis=2)
-    miss = _beside_others(miss)
+    miss = _without_common_motion(miss)
     jumps = np.linalg.norm(np.diff(miss, axis=0), axis=2)
     jumps = jumps[np.isfinite(jumps) & (jumps > 0.0)]
     if len(jumps) < 3 * SOLVE.outlier_frames:
@@ -192,7 +192,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     backward = [level[::-1] for level in _levels(miss[::-1])]
     between = [0.5 * (forward[0] + backward[0])]
     apart = [_square(miss - level) for level in (*forward, *backward, *between)]
-    # Beside the first and the last reading there is only one side to compare with.
+    # Next to the first and the last reading there is only one side to compare with.
     q = np.min(np.nan_to_num(apart, nan=np.inf), axis=0)
     q = np.where(there & np.isfinite(q), q, 0.0) / _usual(np.where(there, q, np.nan), sigma, d)
     far = q > SOLVE.outlier_sd**2
@@ -209,7 +209,7 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     return np.asarray(mask & (there.sum(axis=1) >= SOLVE.outlier_markers)[:, None])
 
 
-def _beside_others(miss: np.ndarray) -> np.ndarray:
+def _without_common_motion(miss: np.ndarray) -> np.ndarray:
     """The misses of a picture ``(n, m, d)`` without their median: what a camera shakes by is no mistake of any marker,
     and would hide those that are."""
     with warnings.catch_warnings():
@@ -336,7 +336,7 @@ def _of_others(seen: np.ndarray, place: np.ndarray, there: Mask, far: float) -> 
     return out
 
 
-def _told(run: str, measured: Measured, mask: Mask) -> Outliers:
+def _outliers_of(run: str, measured: Measured, mask: Mask) -> Outliers:
     """What was found, by marker."""
     d = DIMENSIONS.get(measured.kind, 1)
     number = int(np.isfinite(measured.values[:, ::d]).sum())

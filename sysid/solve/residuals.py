@@ -21,7 +21,7 @@ from sysid.noise.estimate import column_groups
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 from sysid.settings.solve import SOLVE
-from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, believed
+from sysid.solve.discretisation_basis import Basis, ErrorShape, Sizes, basis_of, credible_error
 from sysid.solve.gauss_newton import Search
 from sysid.solve.named_errors import Marginal, NamedErrors
 from sysid.solve.optimum import Fitted
@@ -139,7 +139,7 @@ class Problem:
 
     def tared(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
         """As :meth:`read`, with the bias that is best where all that the rig misses is noise, measured units
-        ``(n, m)``: beside a discretisation error part of that passes for a bias."""
+        ``(n, m)``: with a discretisation error part of that passes for a bias."""
         prediction = fitted.predictions[index].values[measured.channel]
         sd = bias_sd(measured) if self.bias else None
         if sd is None:
@@ -233,15 +233,16 @@ class Problem:
         return np.asarray(prediction + error)
 
     def explained(self, fitted: Fitted, index: int, measured: Measured) -> np.ndarray:
-        """As :meth:`corrected`, with no more discretisation error than is believed
-        (:func:`sysid.solve.discretisation_basis.believed`): what the model accounts for, measured units ``(n, m)``."""
+        """As :meth:`corrected`, with no more discretisation error than is credible
+        (:func:`sysid.solve.discretisation_basis.credible_error`): what the model accounts for, measured units
+        ``(n, m)``."""
         if self.named is not None:
             return self.corrected(fitted, index, measured)
         read = self.read(fitted, index, measured)
         if not self.error_shapes:
             return read
         taken = self.corrected(fitted, index, measured) - read
-        return np.asarray(read + believed(taken, self.basis(index, measured), measured))
+        return np.asarray(read + credible_error(taken, self.basis(index, measured), measured))
 
     def assemble(
         self, predictions: Sequence[Prediction], names: Sequence[str], scaled: np.ndarray | None = None

@@ -1,6 +1,6 @@
 """Takes the coefficients of a basis out of a least-squares problem.
 
-Whitened residuals v of a channel hold, beside noise of unit variance, O o of coefficients o that each column has for
+Whitened residuals v of a channel hold noise of unit variance, O o of coefficients o that each column has for
 itself, C c of coefficients c that all columns share, and G^T s of the noise that all markers of a picture have in
 common (:mod:`sysid.noise.common_mode`), all of unit variance. They have one covariance, and the best coefficients leave
 
@@ -29,7 +29,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonWhitening
 from sysid.noise.whitening import Whitening
-from sysid.solve.discretisation_basis import Basis, Changes, Sizes, added, told
+from sysid.solve.discretisation_basis import Basis, Changes, Sizes, added, added_transpose
 
 
 class Elimination:
@@ -60,7 +60,7 @@ class Elimination:
 
     def slopes(self, scaled: np.ndarray) -> np.ndarray:
         """Derivatives of the expected error by the first parameters at scaled ones, whitened ``(n, m, p)``."""
-        return np.asarray(self._slopes * self._basis.follows(scaled))
+        return np.asarray(self._slopes * self._basis.in_reach(scaled))
 
     def suits(self, good: np.ndarray) -> bool:
         """The same samples count."""
@@ -71,7 +71,7 @@ class Elimination:
         first of them. The rows of coefficients are those of each column, then those that all share."""
         vectors = np.where(self._good[:, :, None], vectors, 0.0)
         without_own = self._left(vectors, self._basis.own, self._best_own(vectors))
-        seen = told(self._basis.common, self._whiten.transposed(without_own), shared=True)[:, 0]
+        seen = added_transpose(self._basis.common, self._whiten.transposed(without_own), shared=True)[:, 0]
         in_pictures = (self._deviations @ without_own).reshape(-1, vectors.shape[2])
         shared = cho_solve(self._shared, np.concatenate([seen, in_pictures]), check_finite=False)
         common = shared[: self._count]
@@ -88,7 +88,7 @@ class Elimination:
 
     def _best_own(self, vectors: np.ndarray) -> np.ndarray:
         """Of the coefficients that columns have for themselves ``(l, m, q)``, where others are 0."""
-        found = told(self._basis.own, self._whiten.transposed(vectors), shared=False)
+        found = added_transpose(self._basis.own, self._whiten.transposed(vectors), shared=False)
         for j, factor in enumerate(self._own):
             found[:, j] = cho_solve(factor, found[:, j], check_finite=False)
         return found

@@ -1,6 +1,6 @@
 """Single readings of a force sensor that are mistakes: bits lost on the way, electric pulses.
 
-Least squares believes every reading, and one that is 100 noise deviations off counts 10^4 times. A component of a
+Least squares trusts every reading, and one that is 100 noise deviations off counts 10^4 times. A component of a
 wrench is looked at in its miss (measured minus predicted). A reading is a spike where it is off the straight line
 through the samples before and after (``SOLVE.spike_side_samples`` each) by more than ``SOLVE.spike_sd`` noise
 deviations, and by more than ``SOLVE.lone_spike_ratio`` times as much as any of these: it is sampled once, and nothing

@@ -1,1 +1,1 @@
-"""How far estimates can be believed: profile likelihood, conflicts with priors, goodness of fit."""
+"""How far estimates can be trusted: profile likelihood, conflicts with priors, goodness of fit."""

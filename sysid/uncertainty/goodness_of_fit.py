@@ -2,8 +2,8 @@
 
 One wrench among a thousand markers may be missed by far while the misfit of all readings together is that of noise, so
 each quantity of each channel of each run is judged by itself: the mean square of its whitened residual, 1 where noise
-alone is left. The discretisation error is allowed for as far as it is believed
-(:func:`sysid.solve.discretisation_basis.believed`).
+alone is left. The discretisation error is allowed for as far as it is credible
+(:func:`sysid.solve.discretisation_basis.credible_error`).
 """
 
 from __future__ import annotations

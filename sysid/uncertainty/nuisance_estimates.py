@@ -48,7 +48,7 @@ class Nuisance:
     tied: tuple[str, ...]
 
     @property
-    def told(self) -> bool:
+    def informed(self) -> bool:
         """The data say more of it than was known before."""
         return self.sd < SOLVE.undetermined_share * self.prior_sd
 
@@ -65,7 +65,7 @@ class Nuisance:
     @property
     def far(self) -> bool:
         """It differs from what the rig says."""
-        return self.told and abs(self.off) > UNCERTAINTY.nuisance_far_sd * self.sd
+        return self.informed and abs(self.off) > UNCERTAINTY.nuisance_far_sd * self.sd
 
 
 def nuisances_of(problem: Problem, fitted: Fitted) -> list[Nuisance]:
@@ -146,9 +146,9 @@ def with_explicit_bias(problem: Problem, fitted: Fitted) -> Fitted:
 
 def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
     """A sentence for each nuisance that is not what the rig says, and what to do about it where the fit is ``trusted``:
-    beside misfit, or parameters that are not determined, it may stand for those."""
+    next to a misfit, or parameters that are not determined, it may stand for those."""
 
-    def told(what: str, remedy: str) -> str:
+    def remark(what: str, remedy: str) -> str:
         return f"{what}: {remedy}." if trusted else f"{what}, or that stands for something else."
 
     said = []
@@ -159,9 +159,9 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
         low, high = n.ci95
         half = 0.5 * (high - low) / 1.96
         if quantity == "latency_s":
-            beside = f", where the rig says {1e3 * n.start:.4g} ms" if n.start else ""
-            what = f"The stream {_topic(rig, owner)} {_way(n)}{beside}"
-            said.append(told(what, f"write {n.name} = {n.value:.4g} into the rig"))
+            stated = f", where the rig says {1e3 * n.start:.4g} ms" if n.start else ""
+            what = f"The stream {_topic(rig, owner)} {_way(n)}{stated}"
+            said.append(remark(what, f"write {n.name} = {n.value:.4g} into the rig"))
             continue
         if quantity in OFFSETS:
             axis = quantity.removeprefix("offset_").split("_")[0]
@@ -169,21 +169,21 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
                 what = f"shifted by {_pair(1e3 * n.off, 1e3 * half)} mm along {axis}"
             else:
                 what = f"turned by {_pair(n.off, half)} deg about {axis[1:]}"
-            beside = f", where the rig says {n.start:.4g} {n.unit}" if n.start else ""
+            stated = f", where the rig says {n.start:.4g} {n.unit}" if n.start else ""
             calibrated = "it is" if owner in rig.cameras else "its poses are"
             remedy = f"write {n.name} = {n.value:.4g} into the rig, or correct how {calibrated} calibrated"
             whose = "camera" if owner in rig.cameras else "end effector"
-            said.append(told(f"The {whose} {owner} is {what} of its own frame{beside}", remedy))
+            said.append(remark(f"The {whose} {owner} is {what} of its own frame{stated}", remedy))
             continue
         write = " and ".join([f"{n.name} = {n.value:.6g}", *(f"{t} in proportion" for t in n.tied)])
         if n.log:
             what = f"The scale of the camera {owner} is off by {_pair(100 * n.off, 100 * n.sd)} %"
         else:
             what = f"{n.name} is off by {_pair(n.off, half)} {n.unit}"
-        said.append(told(what, f"write {write} into the rig, or calibrate the camera"))
+        said.append(remark(what, f"write {write} into the rig, or calibrate the camera"))
     for name, there in _by_name(found).items():
         if _differ(there):
-            ways = "; ".join(f"{_way(n)} in {n.run}" for n in there if n.told)
+            ways = "; ".join(f"{_way(n)} in {n.run}" for n in there if n.informed)
             said.append(
                 f"The stream {_topic(rig, name.rpartition('.')[0])} has another offset in time in each recording: "
                 f"{ways}. Let one clock stamp it and the poses. Held-out recordings are compared at the mean of these."
@@ -194,7 +194,7 @@ def remarks(rig: Rig, found: Sequence[Nuisance], trusted: bool) -> list[str]:
             for n in found
             if n.far and n.run == run and n.name.startswith(channel + " ")
         ]
-        said.append(told(f"In {run}, {channel} has a bias of {', '.join(parts)}", "tare it with nothing in touch"))
+        said.append(remark(f"In {run}, {channel} has a bias of {', '.join(parts)}", "tare it with nothing in touch"))
     return said
 
 
@@ -207,7 +207,7 @@ def _by_name(found: Sequence[Nuisance]) -> dict[str, list[Nuisance]]:
 def _differ(there: Sequence[Nuisance]) -> bool:
     """Whether recordings do not have the same: one is further from the mean than it may be, var(v - mean) = var(v) -
     var(mean) for a mean that has v in it with the weight 1 / var(v)."""
-    there = [n for n in there if n.told]
+    there = [n for n in there if n.informed]
     if len(there) < 2:
         return False
     mean = _mean(there)
@@ -216,7 +216,7 @@ def _differ(there: Sequence[Nuisance]) -> bool:
 
 def _mean(there: Sequence[Nuisance]) -> Nuisance:
     """What those recordings that tell it do so together; if none does, what was known before."""
-    there = [n for n in there if n.told] or [replace(there[0], value=there[0].start)]
+    there = [n for n in there if n.informed] or [replace(there[0], value=there[0].start)]
     weights = np.array([n.sd**-2 for n in there])
     value, sd = float(np.average([n.value for n in there], weights=weights)), float(np.sum(weights) ** -0.5)
     return replace(there[0], run="", value=value, sd=sd, ci95=(value - 1.96 * sd, value + 1.96 * sd))

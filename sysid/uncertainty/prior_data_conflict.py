@@ -1,11 +1,11 @@
 """Where recordings contradict what was known of a parameter before.
 
 The fit lies between both. A linear step within bounds from there, without what was known of parameter k, leads to the
-value x_k that the recordings ask for beside all other priors, which weigh as much as in the search
+value x_k that the recordings ask for under all other priors, which weigh as much as in the search
 (:mod:`sysid.solve.gauss_newton`). If recordings and prior are right, the difference of x_k from the prior's mean has
 the variance s_k^2 + t_k^2, with the standard deviation s_k of x_k (:mod:`sysid.solve.covariance`, by what the step
 leaves) and t_k of what was known (a check of the prior against the data: Box 1980; Evans & Moshonov 2006). A value so
-far off that the rig is not linear on the way there may go unnoticed: it leaves a misfit, which is told.
+far off that the rig is not linear on the way there may go unnoticed: it leaves a misfit, which is reported.
 """
 
 from __future__ import annotations

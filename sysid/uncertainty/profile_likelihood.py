@@ -83,7 +83,7 @@ def in_words(
     half = 0.5 * (parabola[1] - parabola[0])
     if (
         max(abs(a - b) for a, b in zip(scaled, parabola, strict=True))
-        > (1.0 - UNCERTAINTY.believed_roots[0] / UNCERTAINTY.deviance_root) * half
+        > (1.0 - UNCERTAINTY.accepted_roots[0] / UNCERTAINTY.deviance_root) * half
     ):
         return (
             f"The misfit is not a parabola in {name}: its 95 % interval is {low} to {high}, where the quadratic one is "

@@ -81,7 +81,7 @@ class Profiler:
         self._calibration = self._sd**2 / np.diag(inverse_information(self._best.jacobian, self._prior))
 
     def check(self) -> list[str]:
-        """A sentence for each quadratic interval that is not to be believed, by an evaluation at each of its ends;
+        """A sentence for each quadratic interval that does not hold, by an evaluation at each of its ends;
         where a better fit is met there, a sentence about that alone."""
         jobs = [(k, side) for k in self._asked() for side in (-1, 1)]
         roots = self._run(lambda job: self._root_at_end(*job), jobs, 1.0)
@@ -96,11 +96,11 @@ class Profiler:
                 for r in pair
                 if r is not None
                 and np.isfinite(r)
-                and not UNCERTAINTY.believed_roots[0] <= r <= UNCERTAINTY.believed_roots[1]
+                and not UNCERTAINTY.accepted_roots[0] <= r <= UNCERTAINTY.accepted_roots[1]
             ]
             if off:
-                way = "too narrow" if min(off) < UNCERTAINTY.believed_roots[0] else "too wide"
-                if min(off) < UNCERTAINTY.believed_roots[0] and max(off) > UNCERTAINTY.believed_roots[1]:
+                way = "too narrow" if min(off) < UNCERTAINTY.accepted_roots[0] else "too wide"
+                if min(off) < UNCERTAINTY.accepted_roots[0] and max(off) > UNCERTAINTY.accepted_roots[1]:
                     way = "too narrow on one side and too wide on the other"
                 said.append(
                     f"The interval of {p.name} takes the misfit for a parabola, which it is not: it is {way}. "
@@ -283,7 +283,7 @@ class Profiler:
         if not inside:
             return None
         root = self._root(k, point)
-        if point is not None and not UNCERTAINTY.believed_roots[0] <= root <= UNCERTAINTY.believed_roots[1]:
+        if point is not None and not UNCERTAINTY.accepted_roots[0] <= root <= UNCERTAINTY.accepted_roots[1]:
             # The other parameters may not have followed all the way yet.
             further = self._at(k, end, point) or point
             root = self._root(k, min(point, further, key=lambda q: q.least))

@@ -1,4 +1,4 @@
-"""Physics with known answers, run by ``thinshell validate``."""
+"""Physics with known solutions, run by ``thinshell validate``."""
 
 from __future__ import annotations
 

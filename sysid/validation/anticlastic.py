@@ -104,13 +104,13 @@ def bent_strip(pattern: str, cells: tuple[int, int]) -> list[tuple[tuple[float, 
 
 
 def anticlastic_cases() -> Iterator[Case]:
-    """All comparisons of strips bent by couples; answers are those of the curvature that a mesh has."""
+    """All comparisons of strips bent by couples; solutions are those of the curvature that a mesh has."""
     for pattern in ("regular", "irregular"):
         meshes = [bent_strip(pattern, cells) for cells in ((40, 16), (80, 32))]
-        for value, (others, theirs), (answers, ours) in zip(ASHWELL, *meshes, strict=True):
-            runs = (np.add(answers, np.subtract(theirs, others)), ours)
+        for value, (others, theirs), (expected, ours) in zip(ASHWELL, *meshes, strict=True):
+            runs = (np.add(expected, np.subtract(theirs, others)), ours)
             yield from compare(
                 f"strip bent by couples, b^2 k/h = {value:g}",
                 ("moment / curvature [E b h^3/12]", "curvature across [-nu k]"),
-                answers, runs, STATICS, f"{pattern} 80 x 32", SOURCE, scale=1.0,
+                expected, runs, STATICS, f"{pattern} 80 x 32", SOURCE, scale=1.0,
             )  # fmt: skip

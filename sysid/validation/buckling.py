@@ -144,5 +144,5 @@ def buckling_cases() -> Iterator[Case]:
             force, slope, middle = planar_elastica.hinged(approach)
             name = f"column with two hinges, shortened by {approach:.3f} L"
             quantities = ("P / P_Euler", "slope at the ends [deg]", "deflection / length")
-            answers = (force, float(np.degrees(slope)), middle)
-            yield from compare(name, quantities, answers, found, STATICS, described(pattern, meshes), ELASTICA)
+            expected = (force, float(np.degrees(slope)), middle)
+            yield from compare(name, quantities, expected, found, STATICS, described(pattern, meshes), ELASTICA)

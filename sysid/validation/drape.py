@@ -5,10 +5,10 @@ of 18 cm, as in the standard test (BS 5058), which holds the fabric between two 
 with the weight and the bending stiffness of a denim. It may rest with one number of folds or another; which it takes
 depends on how it is let down, so light forces at its rim begin the folds and then fade away.
 
-The answers are those of another method, which shares nothing with this one: the same shell (Koiter's energy) by
-B-splines of degree five along the radius and Fourier series around, its energy minimised by Newton's method among
-shapes with that number of equal folds (``tests/validation/draped_disc.py``). Eight harmonics of the folds in place of
-the fourteen here change the coefficient by 0.002.
+The reference solutions are those of another method, which shares nothing with this one: the same shell (Koiter's
+energy) by B-splines of degree five along the radius and Fourier series around, its energy minimised by Newton's method
+among shapes with that number of equal folds (``tests/validation/draped_disc.py``). Eight harmonics of the folds in
+place of the fourteen here change the coefficient by 0.002.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def draped(folds: int, around: int, across: int) -> tuple[float, float, float]:
 
 def drape_cases() -> Iterator[Case]:
     """All comparisons of the disc."""
-    for folds, answers in DRAPED.items():
+    for folds, expected in DRAPED.items():
         yield from compare(
             f"fabric disc over a round table, {folds} folds",
-            ("drape coefficient", "height of crests", "height of valleys"), answers,
+            ("drape coefficient", "height of crests", "height of valleys"), expected,
             [draped(folds, n, n // 10) for n in (40, 80, 160)], STATICS, "rings, 2880 nodes", SHELL, scale=1.0,
         )  # fmt: skip

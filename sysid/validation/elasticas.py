@@ -14,7 +14,7 @@ End moment (Sze, Liu & Lo, example 3.2: L = 12): the strip is an arc of angle t 
 largest moment: tip at (sin t / t, (1 - cos t) / t) L. The moment is a couple that turns with a rigid tip
 (:mod:`sim_core.energies.couple`).
 
-Answers: :mod:`sysid.validation.planar_elastica`.
+Solutions: :mod:`sysid.validation.planar_elastica`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ takes 7.5687 (Peirce) for Gamma."""
 
 MATTIASSON = "Mattiasson 1981, boundary value problem"
 SZE = "problems of Sze, Liu & Lo 2004, planar elastica"
-PRINTED = "the printed answers, those of meshes of quadrilaterals, are up to 0.5 % off the elastica"
+PRINTED = "the printed solutions, those of meshes of quadrilaterals, are up to 0.5 % off the elastica"
 
 
 def heavy_strip(gamma: float, pattern: str, cells: tuple[int, int]) -> tuple[float, float]:
@@ -126,11 +126,11 @@ def elastica_cases() -> Iterator[Case | NotCovered]:
             meshes = LONG if pattern == "crossed" or gamma > 100.0 else MESHES
             runs = [heavy_strip(gamma, pattern, cells) for cells in meshes]
             mesh = described(pattern, meshes) + (", graded" if gamma > 100.0 else "")
-            name, answers = f"heavy elastica, Gamma = {gamma:g}", planar_elastica.heavy(gamma)
-            yield from compare(name, HEAVY_QUANTITIES, answers, runs, STATICS, mesh, ROMERO)
+            name, expected = f"heavy elastica, Gamma = {gamma:g}", planar_elastica.heavy(gamma)
+            yield from compare(name, HEAVY_QUANTITIES, expected, runs, STATICS, mesh, ROMERO)
             if gamma <= 0.01:
                 *coarser, slope = (8.0 * drop / reach / gamma for drop, reach in runs)
-                ratio = 8.0 * answers[0] / answers[1] / gamma
+                ratio = 8.0 * expected[0] / expected[1] / gamma
                 yield Case(
                     name, "drop / reach", "Gamma/8", ratio, slope, STATICS, mesh, ROMERO, tuple(coarser)
                 )  # fmt: skip
@@ -142,18 +142,18 @@ def elastica_cases() -> Iterator[Case | NotCovered]:
     for pattern in ("regular", "irregular"):
         for alpha in TIP:
             runs = [tip_loaded_strip(alpha, pattern, cells) for cells in MESHES]
-            name, answers = f"tip load, P L^2/B = {alpha:g}", planar_elastica.tip_loaded(alpha)
+            name, expected = f"tip load, P L^2/B = {alpha:g}", planar_elastica.tip_loaded(alpha)
             mesh = described(pattern, MESHES)
-            yield from compare(name, TIP_QUANTITIES, answers, runs, STATICS, mesh, MATTIASSON)
+            yield from compare(name, TIP_QUANTITIES, expected, runs, STATICS, mesh, MATTIASSON)
     for title, run, meshes, exact, scale in (
         ("end shear", end_shear, MESHES, [planar_elastica.tip_loaded(4.0 * share) for share in SHARES], None),
         ("end moment", end_moment, FINE, [planar_elastica.rolled(TURN * share) for share in SHARES], 1.0),
     ):
         for pattern in ("regular", "irregular"):
             by_share = zip(*(run(pattern, cells) for cells in meshes), strict=True)
-            for share, answers, found in zip(SHARES, exact, by_share, strict=True):
+            for share, expected, found in zip(SHARES, exact, by_share, strict=True):
                 yield from compare(
-                    f"cantilever, {title}, {share:g} of the largest", TIP_QUANTITIES, answers,
+                    f"cantilever, {title}, {share:g} of the largest", TIP_QUANTITIES, expected,
                     found, STATICS, described(pattern, meshes), SZE, scale=scale, remark=PRINTED,
                 )  # fmt: skip
     yield NotCovered("naturally curved rod that bends and twists", "sheets are no rods", "Romero et al. 2021")

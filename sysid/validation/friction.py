@@ -1,4 +1,4 @@
-"""Coulomb friction with known answers: a sheet that lies on a rigid plane, the whole scene turned at will.
+"""Coulomb friction with known solutions: a sheet that lies on a rigid plane, the whole scene turned at will.
 
 A flat sheet is the ideal sledge: pressure and friction act per area, alike at all of its points. It slips if and
 only if tan(slope) > mu, then accelerates at g (sin - mu cos); thrown along a level plane it stops after

@@ -130,8 +130,8 @@ def gel_cases() -> Iterator[Case | NotCovered]:
         pressed = sphere_on_layer(nu, (12, 5))
         name = f"sphere on a bonded layer, nu = {nu:g}"
         yield Case(name, "force", "Hertz", reference, pressed.force, FORCES, mesh, SOURCE)
-        for r, answers in MARKERS[nu].items():
-            for quantity, answer, found in zip(("outward", "downward"), answers, pressed.at(r), strict=True):
+        for r, expected in MARKERS[nu].items():
+            for quantity, answer, found in zip(("outward", "downward"), expected, pressed.at(r), strict=True):
                 if answer is not None:
                     what = f"marker at {r:g} a, {quantity}"
                     yield Case(name, what, "depth", answer, found, STATICS, mesh, SOURCE, scale=1.0)

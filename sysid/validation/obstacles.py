@@ -150,6 +150,6 @@ def obstacle_cases() -> Iterator[Case | NotCovered]:
         yield Case(title, quantity, unit, reference, ours, STATICS, mesh, source, tuple(coarser), remark=remark)
     yield NotCovered(
         "pinched cylinder and hinged roofs, large deflections",
-        "the tables of the answers are not at hand",
+        "the tables of the solutions are not at hand",
         "Sze, Liu & Lo 2004, examples 3.5 to 3.7",
     )

@@ -1,4 +1,4 @@
-"""Inextensible rods that bend in a plane, to eight digits: answers for strips of any bending stiffness B.
+"""Inextensible rods that bend in a plane, to eight digits: solutions for strips of any bending stiffness B.
 
 Slope theta(s) along the length s in [0, 1] L; loads in units of B / L^2. What has a closed form is given by it
 (elliptic integrals of modulus k = sin(a/2)); the others are boundary value problems, solved by collocation

@@ -1,4 +1,4 @@
-"""Square plates with known answers: how they sag, and how they vibrate.
+"""Square plates with known solutions: how they sag, and how they vibrate.
 
 Centre deflection under uniform load in q a^4 / D: Timoshenko & Woinowsky-Krieger, Theory of Plates and Shells, 2nd
 ed., tables 8 and 35; values by a Ritz series. Frequencies as lambda = omega a^2 sqrt(rho h / D), by Ritz series of

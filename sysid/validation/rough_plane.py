@@ -4,7 +4,7 @@ A strip is clamped normal to a plane, tip on the plane right under the clamp, an
 the tip sticks, geometry alone sets the ratio of its tangential force to the normal one, B theta'' = -N sin(theta) -
 T cos(theta), theta(0) = theta'(L) = 0, no offset of the tip; it slips where T / N = mu. Beyond mu = 0.3564 it never
 does: it lies down first. Sano, Yamaguchi & Wada, Phys. Rev. Lett. 118, 2017; Romero et al., ACM Trans. Graph. 40(4),
-2021. Answers: :mod:`sysid.validation.planar_elastica`.
+2021. Solutions: :mod:`sysid.validation.planar_elastica`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Large deflections of shells with known answers: benchmarks of Sze, Liu & Lo, Finite Elem. Anal. Des. 40, 2004.
+"""Large deflections of shells with known solutions: benchmarks of Sze, Liu & Lo, Finite Elem. Anal. Des. 40, 2004.
 
 Slit annular plate: a flat ring cut along a radius, one lip clamped, the other lifted by a line force; it becomes
 a screw. Inner radius 6, outer 10, h = 0.03, E = 21e6, nu = 0, line force up to 0.8 per length.
@@ -31,8 +31,8 @@ SLIT_CELLS, HEMISPHERE_CELLS = (160, 20), 80
 SOURCE = "Sze, Liu & Lo 2004"
 STIFF = (
     "flat triangles on a doubly curved shell resist a bend that does not stretch, so it takes a fine mesh: 1.9 % on "
-    "4 x 32 x 32, 1.0 % on 4 x 64 x 64. The printed answers, those of 16 x 16 quadrilaterals, are not exact enough for "
-    "an order: see the pinched hemisphere"
+    "4 x 32 x 32, 1.0 % on 4 x 64 x 64. The printed solutions, those of 16 x 16 quadrilaterals, are not exact enough "
+    "for an order: see the pinched hemisphere"
 )
 
 
@@ -128,11 +128,11 @@ def shell_cases() -> Iterator[Case]:
     """All comparisons of shells that deflect far."""
     around, across = SLIT_CELLS
     runs = zip(*(slit_annulus((around // k, across // k)) for k in (4, 2, 1)), strict=True)
-    for (share, answers), found in zip(SLIT.items(), runs, strict=True):
+    for (share, expected), found in zip(SLIT.items(), runs, strict=True):
         quantities = ("lift, inner corner", "lift, outer corner")
         name = f"slit annular plate, {share:g} P"
-        yield from compare(name, quantities, answers, found, STATICS, f"{around} x {across}", SOURCE)
-    for (share, answers), found in zip(HEMISPHERE.items(), hemisphere(HEMISPHERE_CELLS), strict=True):
+        yield from compare(name, quantities, expected, found, STATICS, f"{around} x {across}", SOURCE)
+    for (share, expected), found in zip(HEMISPHERE.items(), hemisphere(HEMISPHERE_CELLS), strict=True):
         quantities = ("way, pressed points", "way, pulled points")
         name, mesh = f"hemisphere with a hole, {share:g} P", f"4 x {HEMISPHERE_CELLS} x {HEMISPHERE_CELLS}"
-        yield from compare(name, quantities, answers, [found], STATICS, mesh, SOURCE, remark=STIFF)
+        yield from compare(name, quantities, expected, [found], STATICS, mesh, SOURCE, remark=STIFF)

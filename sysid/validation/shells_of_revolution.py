@@ -1,4 +1,4 @@
-"""Thin linear shells of revolution under point loads, by a Ritz method: answers without a mesh.
+"""Thin linear shells of revolution under point loads, by a Ritz method: solutions without a mesh.
 
 Displacements u along the meridian, v round, w outward are u_n(s) cos(n t), v_n(s) sin(n t), w_n(s) cos(n t), with
 Legendre polynomials of the arc s; harmonics n do not couple. Strains and changes of curvature of the theory of

@@ -1,4 +1,4 @@
-"""Blocks and discs of gel with known answers: the law itself, locking, relaxation.
+"""Blocks and discs of gel with known solutions: the law itself, locking, relaxation.
 
 Homogeneous deformation of the law of :mod:`sim_core.energies.neo_hookean` (compressible), nominal stress over mu at
 the stretch l: with one free pair of sides J = 1 + (1 - 2 nu)(1 - 1/l) and P = l - J / l^2 (uniaxial); with two equal

@@ -24,7 +24,7 @@ def as_json_text(rows: Sequence[Case | NotCovered], passed: bool) -> str:
 
 
 def table(rows: Sequence[Case | NotCovered]) -> str:
-    """The cases as columns of text; then remarks, what is not covered, and the sources of the answers."""
+    """The cases as columns of text; then remarks, what is not covered, and the sources of the solutions."""
     cases = [row for row in rows if isinstance(row, Case)]
     cells = [
         (
@@ -59,7 +59,7 @@ def table(rows: Sequence[Case | NotCovered]) -> str:
     for title, texts in (("Remarks", [f"{name}: {remark}" for remark, name in remarks.items()]), ("Not covered", gaps)):
         if texts:
             lines += [f"{title}:", *(f"  {text}" for text in texts)]
-    lines.append("Answers: " + "; ".join(sorted({case.source for case in cases})) + ".")
+    lines.append("Solutions: " + "; ".join(sorted({case.source for case in cases})) + ".")
     return "\n".join(lines)
 
 

@@ -106,7 +106,7 @@ def track_recording(
 
 
 def tracks_topic(image_topic: str) -> str:
-    """Return the topic of tracks that belongs to an image topic: beside it, in the same namespace."""
+    """Return the topic of tracks that belongs to an image topic: in the same namespace."""
     return f"{_namespace(image_topic)}/marker_tracks"
 
 

@@ -29,7 +29,7 @@ class MatchParameters:
 
     max_residual_pitch: float = 0.32
     """Largest distance [pitch] between a marker and the place its neighbours predict. A blob of no quality,
-    which may be glare beside the marker, is given half of it."""
+    which may be glare near the marker, is given half of it."""
     accept_cost: float = 0.012
     """A start whose match costs less than this is taken without trying others."""
     search_pitch: float = 4.0
@@ -74,7 +74,7 @@ def match_layout(
     Main arguments: ``reference`` ``(n, 2)`` and ``uv`` ``(m, 2)`` [px], ``quality`` ``(m,)`` in 0..1.
     Other arguments: ``starts`` are predicted positions of all reference markers ``(n, 2)`` by name, tried
     in order (say, the previous frame); ``search`` adds whole-pattern starts that need no prediction;
-    ``whole`` says that the reference has all markers there are, so that a detection beside the pattern
+    ``whole`` says that the reference has all markers there are, so that a detection outside the pattern
     speaks against a match (False when markers enter the image that the reference does not have);
     ``view`` is width and height [px] of the image: a marker that left it is not held against a match;
     ``close`` says that starts are as near as a picture is to the one before: only the fine part of the search is done.

@@ -60,7 +60,7 @@ with worker_pool(1) as pool:
 """
 
 
-def test_a_script_that_every_worker_runs_again_is_told_what_it_lacks(tmp_path):
+def test_a_script_that_every_worker_runs_again_is_refused_with_what_it_lacks(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text(UNGUARDED)
     ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300)
@@ -69,14 +69,14 @@ def test_a_script_that_every_worker_runs_again_is_told_what_it_lacks(tmp_path):
     assert 'under if __name__ == "__main__"' in ended.stderr.splitlines()[-1]
 
 
-def test_a_worker_that_is_killed_is_told_of():
+def test_a_worker_that_is_killed_is_reported():
     with pytest.raises(WorkerError, match="before its work was done"), worker_pool(1) as pool:
         os.kill(pool.submit(os.getpid).result(), signal.SIGKILL)
         pool.submit(time.sleep, 60).result()
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="Python ends no pool there while a process is being started.")
-def test_a_process_that_ends_while_another_is_being_started_is_told_as_one_that_ended():
+def test_a_process_that_ends_while_another_is_being_started_is_reported_as_one_that_ended():
     with pytest.raises(WorkerError, match="ended before its work was done"), worker_pool(2) as pool:
         pool.submit(time.sleep, 60.0)
         start, reader = pool._adjust_process_count, pool._call_queue._reader

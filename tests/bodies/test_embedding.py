@@ -17,7 +17,7 @@ FILM = {"E_pa": 2e9, "nu": 0.3, "thickness_m": 1e-4}
 
 
 def film(embedding=None, prescribed=None, compliant=(), extra=6):
-    """A film of nodes with mass, and ``extra`` nodes beside it that nothing acts on."""
+    """A film of nodes with mass, and ``extra`` nodes more that nothing acts on."""
     mesh = rectangle(0.04, 0.02, (4, 2), "irregular")
     rng = np.random.default_rng(3)
     nodes = np.vstack([mesh.nodes, 0.02 * rng.standard_normal((extra, 3))])
@@ -32,7 +32,7 @@ def film(embedding=None, prescribed=None, compliant=(), extra=6):
 
 
 def some_embedding(n, n_film, rng):
-    """Film nodes on masters that are film nodes or beside it, with shared masters; one on a single master."""
+    """Film nodes on masters that are film nodes or others, with shared masters; one on a single master."""
     nodes = np.array([1, 2, 5, 9])
     masters = np.setdiff1d(np.arange(n), nodes)
     weights = np.zeros((4, n))

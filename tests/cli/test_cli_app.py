@@ -148,7 +148,7 @@ def test_an_interrupt_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> Non
 
 @pytest.fixture(scope="module")
 def report() -> dict[str, Any]:
-    """What the doctor says of this machine; its exit code beside it."""
+    """What the doctor says of this machine; and its exit code."""
     done = run("doctor", "--json")
     return {**json.loads(done.stdout), "code": done.returncode}
 
@@ -242,7 +242,7 @@ def test_what_is_said_of_the_time_left_is_right_within_a_factor() -> None:
         ends = np.cumsum(steps)
         clock = TimeLeft()
         for k, end in enumerate(ends[:-1]):
-            clock.told(float(end), (k + 1) / len(ends))
+            clock.update(float(end), (k + 1) / len(ends))
             left = clock.seconds(float(end))
             if left is not None and k < 30:
                 near.append(1.0 / 1.5 < left / (ends[-1] - end) < 1.5)

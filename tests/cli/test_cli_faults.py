@@ -80,7 +80,7 @@ FAULTS: dict[str, Fault] = {
     "not a number": Fault(SIMULATE, "not a finite number", rig("width_m: 0.03", "width_m: .nan")),
     "incompressible": Fault(SIMULATE, r"must be less than 0\.5", rig("nu: 0.45", "nu: 0.5")),
     "unknown body": Fault(SIMULATE, "Did you mean 'card'", rig("[gel, card]", "[gel, cart]")),
-    "clamp beside the card": Fault(SIMULATE, "misses 'card'", rig("[-0.05, -0.04]", "[-50, -45]")),
+    "clamp off the card": Fault(SIMULATE, "misses 'card'", rig("[-0.05, -0.04]", "[-50, -45]")),
     "overlay of nothing": Fault(SIMULATE, "neither a file nor one", {"my.yaml": "overlay_of: nothing\n"}),
     "overlay of itself": Fault(SIMULATE, "in a circle", {"my.yaml": "overlay_of: ./my.yaml\n"}),
     # parameters
@@ -104,7 +104,7 @@ FAULTS: dict[str, Fault] = {
     "sensor misspelt": Fault("plan card_press slide --params gel.E --without outsid", "Did you mean 'outside'"),
     "nuisance misspelt": Fault("plan card_press slide --params gel.E --nuisance tme", "Did you mean 'time'"),
     "fit of nothing known": Fault("fit card_press a.mcap --params card.Q --out o", "no parameter", BAG),
-    "fit beside nothing known": Fault(
+    "fit with unknown nuisance": Fault(
         "fit card_press a.mcap --params card.E --nuisance clock --out o", "no nuisance 'clock'", BAG
     ),
     "own value of what is not fitted": Fault(

@@ -18,7 +18,7 @@ import pytest
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.cli.app import main
-from sysid.cli.progress import interrupts_told
+from sysid.cli.progress import interrupts_reported
 from sysid.simulate import simulate_to_bag
 
 FIT = ("fit", "strip_coarse", "--params", "strip.E,strip.nu", "--nuisance", "none")
@@ -115,7 +115,7 @@ def test_ctrl_c_is_not_lost_where_it_cannot_be_answered(monkeypatch: pytest.Monk
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     try:
-        with pytest.raises(KeyboardInterrupt), interrupts_told("Interrupted.") as pressed:
+        with pytest.raises(KeyboardInterrupt), interrupts_reported("Interrupted.") as pressed:
             monkeypatch.setattr(sys, "stderr", Gone())
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(1.0)

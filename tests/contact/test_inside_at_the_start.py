@@ -1,4 +1,4 @@
-"""Bodies that start inside one another are told, with how deep."""
+"""Bodies that start inside one another are reported with the depth."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_sheets_in_the_same_place_are_refused() -> None:
 
 
 def test_distances_to_shapes() -> None:
-    """A box and a cylinder with rounded edges, inside, outside and beside a corner."""
+    """A box and a cylinder with rounded edges, inside, outside and next to a corner."""
     box = np.array([3.0, 0.02, 0.03, 0.04, 0.005])
     points = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.02, 0.03, 0.0]])
     corner = np.hypot(0.005, 0.005) - 0.005

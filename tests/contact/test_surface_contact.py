@@ -84,11 +84,11 @@ THIN = {**LAW, "range_m": 4e-5}
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
-@pytest.mark.parametrize("beside", [0.0, 1e-7, -1e-7])
-def test_right_above_an_edge_derivatives_are_those_of_one_side(beside, friction):
+@pytest.mark.parametrize("offset", [0.0, 1e-7, -1e-7])
+def test_right_above_an_edge_derivatives_are_those_of_one_side(offset, friction):
     """Two triangles of a plane; the sample is as near to both."""
     corners = 0.01 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.5, -1.0, 0.0]])
-    nodes = np.vstack([corners, [0.004, beside, 2.2e-4]])
+    nodes = np.vstack([corners, [0.004, offset, 2.2e-4]])
     samples = Samples(np.array([[4]], dtype=np.int32), np.ones((1, 1)), np.array([1e-6]), 0.0)
     term = SurfaceContact("c", samples, np.array([[0, 1, 2], [1, 0, 3]]), 2e-4, 1e-3)
     term.configure({**THIN, "friction": friction})
@@ -123,9 +123,9 @@ def one_triangle(point, size, law=THIN):
 
 @pytest.mark.parametrize("height", [1e-4, -1e-4, 0.0])
 def test_nothing_is_felt_beyond_the_border_of_a_sheet(height):
-    """A point beside a sheet, in its plane or a little over it, further away than the thickness."""
-    for beside in ([-3e-4, 2e-3], [2e-3, -3e-4], [6e-3, 6e-3], [-3e-4, -3e-4]):
-        force, gap = one_triangle([*beside, height], 0.01)
+    """A point off a sheet, in its plane or a little over it, further away than the thickness."""
+    for place in ([-3e-4, 2e-3], [2e-3, -3e-4], [6e-3, 6e-3], [-3e-4, -3e-4]):
+        force, gap = one_triangle([*place, height], 0.01)
         assert not force.any()
         assert gap > 0.0
     assert one_triangle([2e-3, 2e-3, 2.2e-4], 0.01)[0].any()

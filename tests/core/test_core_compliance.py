@@ -82,10 +82,10 @@ def test_a_hand_gives_way_by_its_compliance_times_the_load_in_every_step(case):
     """In the world, of the force that its sensor reads in its own frame."""
     make, poses, times, _ = CASES[case]
     scene, stiff = build_scene(make()), build_scene(make().model_copy(update={"effects": {}}))
-    found, told = (simulate(s, poses, times, settings=TIGHT, keep_states=True) for s in (scene, stiff))
+    found, rigid = (simulate(s, poses, times, settings=TIGHT, keep_states=True) for s in (scene, stiff))
     most = 0.0
     for mount in scene.compliant:
-        given = found.states.origins[mount] - told.states.origins[mount]
+        given = found.states.origins[mount] - rigid.states.origins[mount]
         forces = found.outputs["wrist" if mount == "gripper" else "under"][:, :3]
         turned = Rotation.from_quat(found.states.quaternions[mount]).apply(forces)
         most = max(most, np.abs(given).max())

@@ -74,12 +74,13 @@ def test_a_rollout_in_small_calls_is_the_same(monkeypatch):
     assert done == [(k, 40) for k in range(1, 41)]
 
 
-def test_beside_a_path_near_by_fewer_factorisations_find_the_same():
+def test_a_warm_start_finds_the_same_with_fewer_factorisations():
     rig = strip_rig(solver={**SOLVER, "inertia": False})
     before = simulate(build_scene(rig), SWING, TIMES["swing"], keep_path=True)
     other = with_parameters(rig, {"strip.E_pa": 4.2e9})
     found, expected = (
-        simulate(build_scene(other), SWING, TIMES["swing"], keep_path=True, beside=path) for path in (before.path, None)
+        simulate(build_scene(other), SWING, TIMES["swing"], keep_path=True, warm_start=path)
+        for path in (before.path, None)
     )
     assert np.abs(found.path.positions - expected.path.positions).max() < 2e-8
     assert sum(r.factorisations for r in found.reports) < sum(r.factorisations for r in expected.reports)

@@ -1,4 +1,4 @@
-"""What experiments can determine, told before they are made."""
+"""What experiments can determine, computed before they are made."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ RUB = [*TOUCH, {"position_m": [0.059, 0.0, -0.0008]}]
 
 
 @pytest.fixture(scope="module")
-def told():
-    """What the plan has told of its progress."""
+def reported():
+    """What the plan reports of its progress."""
     return []
 
 
 @pytest.fixture(scope="module")
-def plan(small_rig, told):
+def plan(small_rig, reported):
     parts = [experiment(PRESS, "press"), experiment(TOUCH, "touch"), experiment(RUB, "rub")]
-    return plan_experiments(small_rig(), parts, NAMES, lambda share, text: told.append((share, text)))
+    return plan_experiments(small_rig(), parts, NAMES, lambda share, text: reported.append((share, text)))
 
 
 def known(outlook):
@@ -71,18 +71,20 @@ def test_the_expected_interval_is_that_of_a_recording(small_rig, plan, tmp_path)
     np.testing.assert_allclose([p.sd for p in together.parameters], uncertainty(fitted).sd, rtol=0.25)
 
 
-def test_progress_goes_on_all_the_time(plan, told):
+def test_progress_goes_on_all_the_time(plan, reported):
     """From step to step, from one of the twelve predictions to the next, and from one answer to the next."""
-    shares = [share for share, _ in told]
+    shares = [share for share, _ in reported]
     steps = np.diff([0.0, *shares])
     assert -1e-12 < min(steps) and max(steps) < 0.1 and shares[-1] == 1.0
-    assert [text for _, text in told if "predictions" in text] == [
+    assert [text for _, text in reported if "predictions" in text] == [
         f"{k} of 12 predictions: derivatives, error of mesh and time step" for k in range(13)
     ]
-    assert "what press and touch and rub would tell" in told[-2][1]
-    answers = [share for share, text in told if text.endswith("would tell")]
-    assert answers[0] == pytest.approx(PREDICTED) and answers[-1] == pytest.approx(1.0)
-    assert max(np.diff(answers)) < 0.05, "putting the readings into equations is counted, not only the predictions"
+    assert "what press and touch and rub would tell" in reported[-2][1]
+    shares_of_answers = [share for share, text in reported if text.endswith("would tell")]
+    assert shares_of_answers[0] == pytest.approx(PREDICTED) and shares_of_answers[-1] == pytest.approx(1.0)
+    assert max(np.diff(shares_of_answers)) < 0.05, (
+        "putting the readings into equations is counted, not only the predictions"
+    )
 
 
 def test_each_experiment_tells_of_what_it_touches(plan):

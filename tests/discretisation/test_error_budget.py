@@ -86,7 +86,7 @@ def test_where_the_noise_is_large_nothing_is_changed():
     assert found.converged
 
 
-def test_what_takes_too_long_is_told_with_its_cost():
+def test_what_takes_too_long_is_reported_with_its_cost():
     rig = cantilever(force_n=1e-7)
     run = lifted(rig)
     found = converge(rig, [run], {"wrench": as_declared(rig, run.measured[0])}, most_s=1e-3)

@@ -1,4 +1,4 @@
-"""What a known discretisation error makes of residuals, and of what is known of parameters beside it."""
+"""What a known discretisation error makes of residuals, and of what is known of parameters under it."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def test_an_error_without_the_shape_is_allowed_for(vectors: None, rho: float) ->
     assert np.all(inside >= 90), inside
 
 
-def beside_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
-    """The two parameters at the truth, by ``n`` samples of eight columns beside a discretisation error of a given
+def with_a_fast_error(n: int, errors: np.ndarray | float, amplitude: float = 1.0) -> Fitted:
+    """The two parameters at the truth, by ``n`` samples of eight columns with a discretisation error of a given
     ``amplitude`` that oscillates faster than its size drifts, in each column otherwise; the readings are off by
     ``errors`` ``(n, 8)``."""
     t, j = np.linspace(0.0, 1.0, n)[:, None], np.arange(8)
@@ -95,15 +95,15 @@ def test_an_error_without_the_shape_may_stay_for_a_while(vectors: None) -> None:
     block = np.minimum((np.linspace(0.0, 1.0, n) * 23).astype(int), 22)
     scores = []
     for _ in range(100):
-        fitted = beside_a_fast_error(n, 0.5**0.5 * SOLVE.rough_error_share * rng.standard_normal((23, 8))[block])
+        fitted = with_a_fast_error(n, 0.5**0.5 * SOLVE.rough_error_share * rng.standard_normal((23, 8))[block])
         miss = np.linalg.lstsq(fitted.jacobian, fitted.residual, rcond=None)[0]
         scores.append(miss / uncertainty(fitted).sd)
     assert np.std(scores, axis=0) == pytest.approx(np.ones(2), abs=0.3)
 
 
-def test_intervals_beside_a_discretisation_error_do_not_shrink_with_the_rate(vectors: None) -> None:
-    few, many = beside_a_fast_error(1200, 0.0), beside_a_fast_error(4800, 0.0)
-    alone = [uncertainty(beside_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
+def test_intervals_with_a_discretisation_error_do_not_shrink_with_the_rate(vectors: None) -> None:
+    few, many = with_a_fast_error(1200, 0.0), with_a_fast_error(4800, 0.0)
+    alone = [uncertainty(with_a_fast_error(n, 0.0, 1e-9)).sd for n in (1200, 4800)]
     assert alone[1] == pytest.approx(0.5 * alone[0], rel=0.01), "by noise alone they do"
     assert uncertainty(many).sd == pytest.approx(uncertainty(few).sd, rel=0.2)
 
@@ -140,18 +140,18 @@ def test_what_only_the_error_depends_on_is_not_determined(
     assert any(said.startswith("The data do not determine b:") for said in known.sentences)
 
 
-def test_slopes_are_believed_near_where_they_were_measured() -> None:
+def test_slopes_are_used_near_where_they_were_measured() -> None:
     shape, slopes = np.ones((len(T), 2)), np.full((len(T), 2, 2), 3.0)
     known = ErrorShape("mesh", ({"gauge": shape},), slopes=({"gauge": slopes},), at=TRUTH, reach=np.array([0.1, 0.2]))
     basis = basis_of([known], 0, run_of(shape), run_of(shape).measured[0])
     near, far = TRUTH + [0.05, -0.1], TRUTH + [0.05, -9.0]
     assert basis.mean_error(near)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.1)))
     assert basis.mean_error(far)[0, 0] == pytest.approx(known.mean * (1.0 + 3.0 * (0.05 - 0.2)))
-    assert basis.follows(near).tolist() == [1.0, 1.0] and basis.follows(far).tolist() == [1.0, 0.0]
+    assert basis.in_reach(near).tolist() == [1.0, 1.0] and basis.in_reach(far).tolist() == [1.0, 0.0]
 
 
 def test_readings_after_a_gap_are_whitened_like_the_error_in_them(vectors: None) -> None:
-    """Beside an error of ten times the noise, a tenth of the readings missing: what is left is noise."""
+    """With an error of ten times the noise, a tenth of the readings missing: what is left is noise."""
     rng, rho = np.random.default_rng(2), np.array([0.9, 0.9])
     t = np.linspace(0.0, 1.0, 400)
     coloured = np.zeros((len(t), 2))
@@ -205,7 +205,7 @@ def test_an_error_far_above_the_noise_is_said() -> None:
 
 
 def test_a_reading_that_a_refinement_does_not_move_may_be_off_for_long() -> None:
-    """Beside one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
+    """Relative to one that it moves by 1: by a quarter of their largest rms, and the same all through a run."""
     shape = np.column_stack([np.ones(len(T)), np.zeros(len(T))])
     run = run_of(np.zeros((len(T), 2)))
     basis = basis_of([ErrorShape("mesh", ({"gauge": shape},))], 0, run, run.measured[0])
@@ -224,7 +224,7 @@ def test_each_column_may_have_its_own_multiple_of_the_error(vectors: None) -> No
 
 
 def test_errors_of_a_rig_that_is_right_are_the_noise(vectors: None) -> None:
-    """Beside a discretisation error of ten times the noise, which is not in the readings, of a wrench that was not
+    """With a discretisation error of ten times the noise, which is not in the readings, of a wrench that was not
     tared."""
     rng, bias = np.random.default_rng(3), np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
     noise = {"cell": ChannelNoise(np.full(6, SIGMA), np.zeros(6), "test")}

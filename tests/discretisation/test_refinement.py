@@ -1,4 +1,4 @@
-"""Rounds of measuring the discretisation error and fitting beside it: on a model with a known answer."""
+"""Rounds of measuring the discretisation error and fitting with it: on a model with a known solution."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Polynomial(Linear):
 
 
 def test_the_error_of_the_time_step_is_extrapolated_by_the_order_of_each_rigs_integrator(small_rig: Any) -> None:
-    """So that what is found beside the readings is what they are with no step at all."""
+    """So that what is found in addition to the readings is what they are with no step at all."""
     dt = 0.02
     rigs = [small_rig(solver={"dt_s": dt, "integrator": name}) for name in ("implicit_euler", "bdf2")]
     runs = [run_of(coarse(TRUTH))] * 2
@@ -253,7 +253,7 @@ def test_ctrl_c_keeps_the_best(vectors: None) -> None:
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ConvergenceError("No.")], ids=["ctrl-c", "failed"])
 def test_a_later_search_that_fails_keeps_what_was_found(error: BaseException, vectors: None) -> None:
-    """Where it stands, beside the error measured there."""
+    """Where it stands, with the error measured there."""
     found = []
 
     def search(problem: Problem, at: np.ndarray) -> Any:
@@ -274,7 +274,7 @@ def test_a_later_search_that_fails_keeps_what_was_found(error: BaseException, ve
 
 
 def _interrupted(engine: Linear) -> Any:
-    """Answers once more and is then interrupted."""
+    """Predicts once more and is then interrupted."""
     left = [1]
     plain = engine.predict_all
 

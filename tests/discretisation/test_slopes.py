@@ -31,7 +31,7 @@ PRESS: list[dict[str, Any]] = [
 ]
 NAMES = ["card.E_pa", "gel.E_pa", "finger.offset_z_m"]
 STEPS = 3e-5, 1e-5
-"""Of the differences, in plausible ranges: small, since contact is made and lost beside larger ones, so rollouts are
+"""Of the differences, in plausible ranges: small, since contact is made and lost within larger ones, so rollouts are
 solved to round-off."""
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-13)

@@ -89,16 +89,35 @@ def browser() -> Iterator[Any]:
         yield found
 
 
+def sized(browser: Any, width: int) -> None:
+    """Set the width of the window [px]."""
+    screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+
+
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("page", ["index.html", "reference/rig.html", "reference/api/sim_core.simulate.html"])
-def test_a_page_is_shown_from_a_folder(site: Path, browser: Any, page: str, width: int) -> None:
-    browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False},
-    )
-    browser.get((site / page).as_uri())
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-    assert browser.find_element("tag name", "h1").is_displayed()
+def test_every_page_is_shown_from_a_folder(site: Path, browser: Any, width: int) -> None:
+    sized(browser, width)
     wide = "return document.scrollingElement.scrollWidth - window.innerWidth"
-    assert browser.execute_script(wide) <= 1, "nothing is wider than the window"
+    for page in sorted(site.rglob("*.html")):
+        if page.name == "404.html":  # for servers
+            continue
+        browser.get(page.as_uri())
+        assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+        assert browser.find_element("tag name", "h1").is_displayed()
+        assert browser.execute_script(wide) <= 1, f"something of {page.name} is wider than the window"
+
+
+@pytest.mark.browser
+def test_search_finds_friction_in_pages_opened_from_a_folder(site: Path, browser: Any) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    sized(browser, 1280)
+    browser.get((site / "tutorials" / "without_ros.html").as_uri())
+    box = browser.find_element("css selector", "input.md-search__input")
+    box.click()
+    box.send_keys("friction")
+    hits = WebDriverWait(browser, 30).until(lambda b: b.find_elements("css selector", "a.md-search-result__link"))
+    assert any("friction" in hit.get_attribute("textContent").lower() for hit in hits)
+    assert all(hit.get_attribute("href").startswith(site.as_uri()) for hit in hits)

@@ -72,13 +72,15 @@ def test_comes_back_from_its_own_recording(name: str, small_rig: Callable[..., R
         return np.concatenate(rows), np.vstack(slopes)
 
     _, at_truth = weighed(truth)
-    told = np.linalg.norm(at_truth, axis=0) * np.maximum(np.abs(truth), 0.1) > 1.0
-    assert told.any(), "the recording says nothing of the effect"
-    parameters = [p for p, known in zip(parameters, told, strict=True) if known]
+    informed = np.linalg.norm(at_truth, axis=0) * np.maximum(np.abs(truth), 0.1) > 1.0
+    assert informed.any(), "the recording says nothing of the effect"
+    parameters = [p for p, known in zip(parameters, informed, strict=True) if known]
     low, high = np.array([p.scaled_bounds for p in parameters]).T
-    start = np.clip(truth[told] + 0.2 * np.where(np.abs(truth[told]) < 1.0, truth[told], 1.0), low + 1e-9, high - 1e-9)
+    start = np.clip(
+        truth[informed] + 0.2 * np.where(np.abs(truth[informed]) < 1.0, truth[informed], 1.0), low + 1e-9, high - 1e-9
+    )
     found = least_squares(
         lambda s: weighed(s)[0], start, lambda s: weighed(s)[1], bounds=(low, high), x_scale="jac", xtol=1e-10
     )
     assert found.cost < 1e-3 * len(found.fun), found
-    assert found.x == pytest.approx(truth[told], rel=2e-3, abs=2e-3 * float(np.abs(truth[told]).max()))
+    assert found.x == pytest.approx(truth[informed], rel=2e-3, abs=2e-3 * float(np.abs(truth[informed]).max()))

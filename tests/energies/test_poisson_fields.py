@@ -116,10 +116,10 @@ def test_gel_is_the_sum_of_its_elements():
     """Each element alone, with its ratio as the number of all: nothing is averaged over two of them."""
     mesh = irregular_block(cells=(1, 1, 1), jitter=0.0)
     whole = Body(mesh, {"E_pa": 1e5, "nu": 0.3})
-    beside = mixed(len(mesh.tets))
-    whole.term.shift_nu(beside)
+    shift = mixed(len(mesh.tets))
+    whole.term.shift_nu(shift)
     x, force = mesh.nodes + 3e-4 * RNG(2).normal(size=mesh.nodes.shape), np.zeros_like(mesh.nodes)
-    for tet, change in zip(mesh.tets, beside, strict=True):
+    for tet, change in zip(mesh.tets, shift, strict=True):
         one = solids.TetMesh(mesh.nodes, tet[None], mesh.surface, mesh.face_sets)
         force += Body(one, {"E_pa": 1e5, "nu": 0.3 + change}).gradient(x)
     assert np.abs(whole.gradient(x) - force).max() < 1e-12 * np.abs(force).max()

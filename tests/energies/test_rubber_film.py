@@ -163,9 +163,9 @@ def drawn(rig, distance, steps=10):
 
 def test_the_usual_law_warns_once_where_it_does_not_hold():
     rig = film(law="st_venant_kirchhoff")
-    with pytest.warns(StrainBeyondLaw, match="film is stretched by .* at x = .* 'law: neo_hookean'") as told:
+    with pytest.warns(StrainBeyondLaw, match="film is stretched by .* at x = .* 'law: neo_hookean'") as warned:
         drawn(rig, 0.02)
-    assert len([w for w in told if w.category is StrainBeyondLaw]) == 1
+    assert len([w for w in warned if w.category is StrainBeyondLaw]) == 1
 
 
 @pytest.mark.filterwarnings("error::sim_core.scene.strain_range.StrainBeyondLaw")

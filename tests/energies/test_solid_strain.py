@@ -30,7 +30,7 @@ def deformed(seed: int) -> np.ndarray:
 
 
 def gel(name: str | None = None) -> Look:
-    """A block of gel with one law beside its own, or with its own alone."""
+    """A block of gel with one law in addition to its own, or with its own alone."""
     own = NeoHookean("gel.elastic", MESH.tets, MESH.nodes)
     own.configure({"E_pa": YOUNG, "nu": NU})
     if name is None:

@@ -103,13 +103,13 @@ def test_a_sphere_on_a_deep_gel_tells_the_plane_strain_modulus_only(tmp_path: Pa
     force = known(rig, run, names, {"wrench": FORCE_SD}, both.predictions)
     by_modulus, by_nu = force.predictions[0].derivatives["wrench"][-1, 2]
     assert by_nu / by_modulus == pytest.approx(2.0 * NU / (1.0 - NU**2), rel=0.15)
-    told = uncertainty(force)
-    assert told.correlation[0, 1] < -0.999 and np.all(told.sd > 0.2)
-    assert any("do not determine gel.nu" in s or "only in combination" in s for s in told.sentences)
+    found = uncertainty(force)
+    assert found.correlation[0, 1] < -0.999 and np.all(found.sd > 0.2)
+    assert any("do not determine gel.nu" in s or "only in combination" in s for s in found.sentences)
     assert np.all(uncertainty(both).sd < 0.02)
     thin, other = pressed(*LAYER, tmp_path / "thin")
     layer = uncertainty(known(thin, other, names, {"wrench": FORCE_SD}, None))
-    assert np.all(layer.sd < 0.25 * told.sd) and not any("do not determine" in s for s in layer.sentences)
+    assert np.all(layer.sd < 0.25 * found.sd) and not any("do not determine" in s for s in layer.sentences)
 
 
 def strip(inertia: bool) -> Rig:
@@ -142,7 +142,7 @@ def strip(inertia: bool) -> Rig:
 
 
 @pytest.mark.parametrize("inertia", [False, True])
-def test_density_is_told_by_ringing_and_not_by_the_shape_at_rest(inertia: bool, tmp_path: Path) -> None:
+def test_density_shows_in_ringing_and_not_by_the_shape_at_rest(inertia: bool, tmp_path: Path) -> None:
     rig = strip(inertia)
     jerk = {"type": "waypoints", "speed_m_s": 0.3, "hold_s": 0.25, "poses": [{"position_m": [0.0, 0.0, 0.01]}]}
     simulate_to_bag(rig, Experiment.model_validate({"name": "jerk", "motions": {"finger": [jerk]}}), tmp_path / "bag")
@@ -150,14 +150,14 @@ def test_density_is_told_by_ringing_and_not_by_the_shape_at_rest(inertia: bool, 
     density = known(rig, run, ["strip.density_kg_m3"], {"side": 0.1}, None)
     alone = uncertainty(density)
     both = known(rig, run, ["strip.E_pa", "strip.density_kg_m3"], {"side": 0.1}, None)
-    told = uncertainty(both)
+    found = uncertainty(both)
     if not inertia:
         assert np.max(np.abs(density.jacobian)) < 1e-6
         assert any("do not determine strip.density" in s for s in alone.sentences)
         return
     assert alone.sd[0] < 0.01
-    assert told.sd.min() > 50.0 * alone.sd[0]
-    (said,) = told.sentences
+    assert found.sd.min() > 50.0 * alone.sd[0]
+    (said,) = found.sentences
     assert "strip.E_pa and strip.density_kg_m3 separately, only in combination" in said
     by_modulus, by_density = both.jacobian.T
     assert np.linalg.norm(by_modulus + by_density) < 1e-3 * np.linalg.norm(by_density), "omega^2 ~ E / rho"

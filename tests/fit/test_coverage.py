@@ -93,10 +93,10 @@ def test_the_error_of_what_is_zero_is_not_over_it(small_rig, monkeypatch):
     result = SimpleNamespace(estimates=[found], converged=False, undetermined={found.name})
     monkeypatch.setattr(coverage, "fit_runs", lambda *_, **__: (result, rig))
     for truth in (0.1, 0.0):
-        (told,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1, 0.0)
-        assert (told.relative, told.converged, told.inside) == (False, False, truth == 0.1)
-        assert not told.determined
-        assert told.error == pytest.approx(0.14 - truth) and told.score == pytest.approx((0.14 - truth) / 0.02)
+        (case,) = coverage._case(rig, [], parameters, 3, np.array([truth]), np.zeros(1), 3, 1, 0.0)
+        assert (case.relative, case.converged, case.inside) == (False, False, truth == 0.1)
+        assert not case.determined
+        assert case.error == pytest.approx(0.14 - truth) and case.score == pytest.approx((0.14 - truth) / 0.02)
 
 
 def test_a_case_is_recorded_with_coloured_noise_and_the_table_says_so(small_rig, monkeypatch):
@@ -189,7 +189,7 @@ def threads(monkeypatch):
 
 
 def test_a_process_that_ends_leaves_the_cases_that_have_ended(small_rig, threads):
-    """Whichever are told of first: all that had not ended fail at once, and none of them is counted as outside."""
+    """Whichever are reported first: all that had not ended fail at once, and none of them is counted as outside."""
     threads |= dict.fromkeys((4, 6), BrokenProcessPool("abruptly"))
     found = measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(4, 8))
     assert [o.case for o in found.outcomes] == [5, 7]
@@ -212,23 +212,23 @@ def test_a_case_that_fails_leaves_the_others(small_rig, threads):
 
 def test_a_long_case_is_not_waited_for_in_silence(small_rig, monkeypatch):
     """It ends when the third word of progress has come, none of which knows of a case that has ended."""
-    told, heard = [], threading.Event()
+    reported, heard = [], threading.Event()
 
     def case(rig, experiments, parameters, number, *drawn):
         assert heard.wait(300.0)
         return [outcome(number, 0.5)]
 
     def report(share, text):
-        told.append((share, text))
-        if len(told) == 3:
+        reported.append((share, text))
+        if len(reported) == 3:
             heard.set()
 
     monkeypatch.setattr(coverage, "FIT", replace(FIT, coverage_progress_s=0.01))
     monkeypatch.setattr(coverage, "worker_pool", ThreadPoolExecutor)
     monkeypatch.setattr(coverage, "_case", case)
     measure_coverage(small_rig(), [], ["gel.E_pa"], cases=range(2), on_progress=report)
-    assert told[:3] == [(0.0, "no case of 2 has ended yet")] * 3
-    assert told[-1] == (1.0, "2 of 2 cases have ended, 2 of 2 inside")
+    assert reported[:3] == [(0.0, "no case of 2 has ended yet")] * 3
+    assert reported[-1] == (1.0, "2 of 2 cases have ended, 2 of 2 inside")
 
 
 def test_a_table_in_which_all_failed():

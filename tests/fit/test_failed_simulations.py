@@ -11,8 +11,8 @@ import pytest
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.discretisation import refinement as discretisation_error
-from sysid.discretisation.refinement import Unmeasured, discretisation, fit_beside_discretisation
-from sysid.fit.fit import _fit_beside_mistakes, _Look
+from sysid.discretisation.refinement import Unmeasured, discretisation, fit_with_discretisation_error
+from sysid.fit.fit import _fit_without_outliers, _Look
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
@@ -146,30 +146,30 @@ def test_what_was_found_where_the_discretisation_error_cannot_be_measured_is_kep
     monkeypatch.setattr(discretisation_error, "rig_in", lambda rig, parameters, scaled, bag: Stub(float(scaled[0])))
     noise = {"gauge": ChannelNoise(np.array([0.01]), 0.0, "test")}
     with pytest.raises(Unmeasured, match=r"finer mesh: The step does not converge\. Shorten") as caught:
-        fit_beside_discretisation(
+        fit_with_discretisation_error(
             cast(ParallelPredictor, BrittleBelow(np.inf)), [run_of()], noise, cast(Any, Stub()), [X], start=np.zeros(1)
         )
     found = caught.value.fitted
     assert found.scaled[0] == pytest.approx(TRUTH, abs=0.01)
     assert not found.converged and "discretisation error is not known" in found.message
-    assert caught.value.beside.evaluate(cast(Any, Stub()), [X], found.scaled).chi2 == pytest.approx(found.chi2)
+    assert caught.value.last_problem.evaluate(cast(Any, Stub()), [X], found.scaled).chi2 == pytest.approx(found.chi2)
 
 
 def test_a_fit_goes_on_with_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = cast(Any, None)
-    beside = Problem([], {}, nothing)
+    last = Problem([], {}, nothing)
     found = Fitted([X], np.ones(1), nothing, np.ones(4), np.ones((4, 1)), [], [], nothing, 3, True, "")
 
     def broken(*given: Any, **more: Any) -> None:
-        raise Unmeasured(ConvergenceError("The step does not converge.", "Shorten it."), beside, found)
+        raise Unmeasured(ConvergenceError("The step does not converge.", "Shorten it."), last, found)
 
-    monkeypatch.setattr("sysid.fit.fit.fit_beside_discretisation", broken)
+    monkeypatch.setattr("sysid.fit.fit.fit_with_discretisation_error", broken)
     monkeypatch.setattr("sysid.fit.fit.channel_noise", lambda rig, runs, held_out: {})
     look = _Look([], [], [], None)
-    kept, problem, fitted = _fit_beside_mistakes(
+    kept, problem, fitted = _fit_without_outliers(
         nothing, nothing, [X], look, np.zeros(1), runs=[], robust=True, bias=False, search=nothing
     )
-    assert kept is look and problem is beside and fitted is found
+    assert kept is look and problem is last and fitted is found
     assert not fitted.converged and "The step does not converge. Shorten it." in fitted.message
 
 

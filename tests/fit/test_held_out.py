@@ -1,4 +1,4 @@
-"""By what held-out recordings are predicted, and beside what they are judged."""
+"""By what held-out recordings are predicted, and what they are compared with."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sysid.model.parallel_predictor import ParallelPredictor
 RIG = strip_rig()
 
 
-def test_they_are_predicted_as_recordings_usually_are_and_judged_beside_the_discretisation_error(
+def test_they_are_predicted_as_recordings_usually_are_and_judged_with_the_discretisation_error(
     workers: ParallelPredictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The rig that predicts them, and is returned, has the usual clocks: here one that is a fifth of a second late."""

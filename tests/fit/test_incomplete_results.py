@@ -33,8 +33,8 @@ def test_a_held_out_recording_does_not_change_the_fit(small_rig: Any, monkeypatc
     (m,) = other.measured
     noisy = m.values + np.random.default_rng(4).standard_normal(m.values.shape)
     other = replace(other, measured=(replace(m, values=noisy),))
-    alone, beside = (result_of(Readings(), small_rig(), [there], kept) for kept in ([], [other]))
-    assert beside.estimates == alone.estimates and beside.noise == alone.noise
+    alone, with_more = (result_of(Readings(), small_rig(), [there], kept) for kept in ([], [other]))
+    assert with_more.estimates == alone.estimates and with_more.noise == alone.noise
 
 
 def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_channel_that_is_predicted_out_of_sight_is_noted(small_rig: Any, tmp_p
     assert write_fit_report(result, tmp_path / "report.html").stat().st_size > 0
 
 
-def test_readings_that_are_predicted_out_of_sight_are_not_counted_but_told(small_rig: Any) -> None:
+def test_readings_that_are_predicted_out_of_sight_are_not_counted_but_reported(small_rig: Any) -> None:
     """As if they had not been recorded."""
     run = run_of("press", "side")
     (m,) = run.measured

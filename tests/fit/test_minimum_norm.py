@@ -67,11 +67,11 @@ def ended(engine: Sum, at: tuple[float, ...], parameters: list[FitParameter] | N
 def test_the_nearest_in_plausible_widths_is_gone_to() -> None:
     """On a + b = 2 the least of a^2 + (b / 3)^2 is at 0.2 and 1.8."""
     problem, fitted = ended(Sum(), (30.0, -28.0))
-    told: list[Fitted] = []
-    found = minimum_norm_solution(problem, fitted, START_HERE, 30, told.append)
+    reported: list[Fitted] = []
+    found = minimum_norm_solution(problem, fitted, START_HERE, 30, reported.append)
     np.testing.assert_allclose(found.scaled, [0.2, 1.8], atol=0.02)
     assert found.chi2 - fitted.chi2 <= FIT.chi2_rise and found.converged and found.message == fitted.message
-    assert len(told) == found.evaluations - fitted.evaluations == 1
+    assert len(reported) == found.evaluations - fitted.evaluations == 1
 
 
 def test_what_is_determined_or_was_known_stays() -> None:
@@ -91,7 +91,7 @@ def test_what_was_known_is_not_pulled_further() -> None:
     np.testing.assert_allclose(minimum_norm_solution(problem, fitted, START_HERE, 30).scaled, [2.0, 0.0], atol=0.05)
 
 
-def test_what_is_told_a_little_is_not_given_up() -> None:
+def test_what_is_weakly_determined_is_not_given_up() -> None:
     """The difference of both is known to +- 9, and 24 from the start: all the way back would cost 7."""
     problem, fitted = ended(Sum(apart=0.0013), (13.0, -11.0))
     problem.runs[0].measured[0].values[:] = (2.0 * np.sin(T) + 24.0 * 0.0013 * np.cos(T))[:, None]
@@ -102,7 +102,7 @@ def test_what_is_told_a_little_is_not_given_up() -> None:
 
 
 @pytest.mark.parametrize("third", [5.0, 8.0])
-def test_what_is_determined_beside_it_is_not_drawn_to_the_start(third: float) -> None:
+def test_what_is_determined_with_it_is_not_drawn_to_the_start(third: float) -> None:
     """c is known to 0.3 of its plausible width, and several of these from the start."""
     given = [A, B, FitParameter("c", "-", False, -1e3, 1e3, 1.0, "")]
     problem, fitted = ended(Sum(), (30.0, -28.0, third), given)
@@ -122,10 +122,10 @@ def test_bounds_hold_on_the_way_back() -> None:
 
 def test_no_more_evaluations_are_made_than_may_be() -> None:
     problem, fitted = ended(Sum(wall=-50.0), (12.0, -10.0))
-    told: list[Fitted] = []
-    assert minimum_norm_solution(problem, fitted, START_HERE, 2, told.append) is fitted
-    assert [t.chi2 for t in told] == [fitted.chi2] * 2  # what failed counts, and the best is told
-    assert minimum_norm_solution(problem, fitted, START_HERE, 0, told.append) is fitted and len(told) == 2
+    reported: list[Fitted] = []
+    assert minimum_norm_solution(problem, fitted, START_HERE, 2, reported.append) is fitted
+    assert [t.chi2 for t in reported] == [fitted.chi2] * 2  # what failed counts, and the best is reported
+    assert minimum_norm_solution(problem, fitted, START_HERE, 0, reported.append) is fitted and len(reported) == 2
 
 
 def test_where_the_way_back_cannot_be_simulated_the_fit_stays() -> None:

@@ -87,7 +87,7 @@ def test_a_search_from_the_wrong_side_ends_there_and_one_of_several_starts_does_
     assert len(ways) == 4 and ways[0].startswith(f"Search 1 began at gel.E_pa {np.exp(12.8):.4g} Pa and ended at")
 
 
-def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: Any) -> None:
+def test_progress_gives_the_misfit_next_to_what_the_noise_alone_makes(small_rig: Any) -> None:
     """200 readings, each off by three standard deviations of the noise: a mean square of nine."""
     rig = small_rig()
     off = np.full(len(T), 3.0)
@@ -95,9 +95,9 @@ def test_progress_tells_the_misfit_beside_what_the_noise_alone_makes(small_rig: 
         fit_parameters(rig, ["gel.E"]), np.array([MIDDLE]), rig, off, np.zeros((len(T), 1)), [(0, "gauge", T)], [], rig,
         1, True, "",
     )  # fmt: skip
-    told: list[str] = []
-    Evaluations(FitOptions(), lambda share, text: told.append(text))(fitted)
-    assert told == ["evaluation 1, misfit 9 (up to 1: noise and discretisation error)"]
+    reported: list[str] = []
+    Evaluations(FitOptions(), lambda share, text: reported.append(text))(fitted)
+    assert reported == ["evaluation 1, misfit 9 (up to 1: noise and discretisation error)"]
 
 
 def test_starts_are_those_of_many_draws_that_fit_best_and_can_be_simulated(small_rig: Any) -> None:
@@ -141,7 +141,7 @@ def test_a_search_that_ends_as_well_but_for_what_it_hides_does_not_take_its_plac
     assert "5 ended equally well" in several.ends[0]
 
 
-def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
+def test_values_that_fit_as_well_are_reported(small_rig: Any) -> None:
     several, _ = searches(small_rig(), starts=4)
     several(problem(Gauge(0.0)), np.array([12.8]))
     assert "4 ended equally well. They ended in different places" in several.ends[0]
@@ -150,12 +150,12 @@ def test_values_that_fit_as_well_are_told(small_rig: Any) -> None:
 def test_other_starts_are_tried_once_and_are_the_same_for_a_seed(small_rig: Any) -> None:
     ends = []
     for _ in range(2):
-        told: list[Step] = []
-        several, _ = searches(small_rig(), Evaluations(FitOptions(starts=3), on_step=told.append), starts=3)
+        reported: list[Step] = []
+        several, _ = searches(small_rig(), Evaluations(FitOptions(starts=3), on_step=reported.append), starts=3)
         first = several(problem(Gauge(0.05)), np.array([12.8]))
-        made = len(told)
+        made = len(reported)
         again = several(problem(Gauge(0.05)), first.scaled)
-        assert len(told) <= made + 3, "it only stays where it is"
+        assert len(reported) <= made + 3, "it only stays where it is"
         ends.append((first.scaled[0], again.scaled[0]))
     assert ends[0] == ends[1]
 
@@ -180,7 +180,7 @@ def test_a_restart_that_brings_nothing_is_the_last(small_rig: Any, monkeypatch: 
 
 
 def with_discretisation_error(wrong: Problem) -> Problem:
-    """The same beside an error of mesh and time step that is none."""
+    """The same with an error of mesh and time step that is none."""
     none = ErrorShape("mesh", ({"gauge": np.zeros((len(T), 1))},))
     return Problem(wrong.runs, wrong.noise, wrong.engine, [none])
 

@@ -18,7 +18,7 @@ from sysid.model.predictor import SerialPredictor
 from sysid.simulate import simulate_to_bag
 
 PLACED = FitOptions(nuisance=("time", "bias", "camera"))
-"""Poses are what is told here; tests of offsets against them are in test_fit_pose_offset.py."""
+"""Poses are exact here; tests of offsets against them are in test_fit_pose_offset.py."""
 
 DECLARED = {"wrench force": 1e-3, "wrench torque": 1e-5, "markers ": 5e-6, "side ": 0.1}
 """Noise that the small rig declares."""

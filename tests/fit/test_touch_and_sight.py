@@ -1,8 +1,9 @@
-"""A small bending stiffness cannot be told by touch, whatever is known of the gel; weight, seen from outside, tells it.
+"""A small bending stiffness cannot be determined by touch, whatever is known of the gel; weight, seen from outside,
+tells it.
 
 ThinShellLab (Wang et al., ICLR 2024) identified sheets by touch and could not retrieve small bending stiffnesses, for
 which it blamed the gel's Poisson ratio. A sheet of bending stiffness D and width w that is pressed by d at a distance L
-from where it is held answers with about 3 D w d / L^3. The tissue of the rig (D = 2.7e-5 N m) gives 2e-4 N, a tenth of
+from where it is held responds with about 3 D w d / L^3. The tissue of the rig (D = 2.7e-5 N m) gives 2e-4 N, a tenth of
 the noise of the wrench; its weight, 0.2 N/m^2, bends it by centimetres.
 """
 

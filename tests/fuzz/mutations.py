@@ -66,7 +66,7 @@ RIG = {
     "end_effectors": {"hand": {"start": {"position_m": [0.0, 0.0, 0.1]}}},
     "sensors": {"cell": {"type": "wrench", "on": "hand", "frame_id": "gel", "topic": "wrench"}},
 }
-"""A rig with a mesh beside it, for the bag and for the table."""
+"""A rig with a mesh file, for the bag and for the table."""
 
 
 def bag(path: Path) -> Path:
@@ -237,7 +237,7 @@ def of_files(path: Path, draw: random.Random) -> Mutation:
     """Names of files, and what the metadata says of them."""
     meta = path / "metadata.yaml"
     (file,) = path.glob("*.mcap")
-    change = draw.choice(["rename", "remove", "list", "count", "beside", "suffix"])
+    change = draw.choice(["rename", "remove", "list", "count", "stray file", "suffix"])
     content = yaml.safe_load(meta.read_text())
     info = content["rosbag2_bagfile_information"]
     if change == "rename":
@@ -254,7 +254,7 @@ def of_files(path: Path, draw: random.Random) -> Mutation:
         )
     elif change == "count":
         info[draw.choice(sorted(info))] = draw.choice([None, -1, "x", [], {}, 10**30])
-    elif change == "beside":
+    elif change == "stray file":
         (path / draw.choice(["._a.mcap", "b.mcap", "b.csv", "notes.txt", "x.db3-wal"])).write_bytes(
             draw.choice([b"", b"\x00" * 40, b"x,y\n1"])
         )

@@ -40,7 +40,7 @@ def test_triangles_of_all_formats_are_the_same_sheet(tmp_path, name):
     assert np.cross(b - a, c - a)[:, 2].min() > 0.0
 
 
-def test_triangles_that_face_the_other_way_are_turned_and_told(tmp_path):
+def test_triangles_that_face_the_other_way_are_turned_and_reported(tmp_path):
     triangles = SHEET.triangles.copy()
     triangles[[3, 7]] = triangles[[3, 7]][:, ::-1]
     with pytest.warns(MeshRepaired, match="turned over, to face as their neighbours do: 3, 7"):
@@ -50,7 +50,7 @@ def test_triangles_that_face_the_other_way_are_turned_and_told(tmp_path):
     assert np.cross(b - a, c - a)[:, 2].min() > 0.0
 
 
-def test_unused_vertices_are_left_out_and_told(tmp_path):
+def test_unused_vertices_are_left_out_and_reported(tmp_path):
     points = np.vstack([SHEET.nodes, [[0.0, 0.0, 5.0]]])
     with pytest.warns(MeshRepaired, match="belong to no element were left out: 23"):
         assert len(read_sheet(sheet_file(tmp_path, points), "mm").nodes) == 23
@@ -174,7 +174,7 @@ def test_named_groups_of_gmsh_are_faces(tmp_path):
     assert len(found.face_sets["skin"]) == len(top)
 
 
-def test_tetrahedra_inside_out_are_renumbered_and_told(tmp_path):
+def test_tetrahedra_inside_out_are_renumbered_and_reported(tmp_path):
     tets = SOLID.tets.copy()
     tets[5] = tets[5][[0, 2, 1, 3, 6, 5, 4, 7, 9, 8]]
     with pytest.warns(MeshRepaired, match="inside out were renumbered: 5"):

@@ -59,7 +59,7 @@ BOX = [[-0.05, -0.015], [0.05, -0.015], [0.05, 0.015], [-0.05, 0.015]]
     ("corners", "edge_m"),
     [
         (BOX, 0.01),
-        # A narrow arm beside a block, and a notch that is narrower than the edges.
+        # A narrow arm next to a block, and a notch that is narrower than the edges.
         ([[0, 0], [0.1, 0], [0.1, 0.03], [0.05, 0.03], [0.05, 0.002], [0, 0.002]], 0.01),
         ([[0, 0], [0.1, 0], [0.1, 0.05], [0.051, 0.05], [0.05, 0.01], [0.049, 0.05], [0, 0.05]], 0.02),
         ([[0, 0], [0.1, 0.001], [0.2, 0], [0.1, 0.08]], 0.03),

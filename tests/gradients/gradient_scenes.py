@@ -18,7 +18,7 @@ PRESS = ([0.0, 0.1, 0.3, 0.6], [[0, 0, 0], [0, 0, 0], [0, 0, -0.008], [0.004, 0.
 
 
 def damped(integrator, small_rig, visit):
-    """Both kinds of damping beside plastic flow and relaxation, in motion."""
+    """Both kinds of damping together with plastic flow and relaxation, in motion."""
     rig = small_rig(effects=EFFECTS, solver={"dt_s": 0.02, "integrator": integrator})
     for body, alpha, beta in (("card", 3.0, 5e-3), ("gel", 2.0, 0.02)):
         given = {f"{body}.mass_damping_per_s": alpha, f"{body}.stiffness_damping_s": beta}

@@ -88,7 +88,7 @@ CASES = {
 
 
 MILLISECOND = 1e-3
-"""Size of dampings, by which what is nothing but round-off is told: a card that nothing moves has no rates."""
+"""Size of dampings, by which what is nothing but round-off is recognised: a card that nothing moves has no rates."""
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -19,7 +19,7 @@ RUB = {
     "type": "waypoints", "speed_m_s": 0.01,
     "poses": [{"position_m": [-0.26, 7e-4, -0.0021]}, {"position_m": [-0.258, 7e-4, -0.0021]}],
 }  # fmt: skip
-# Beside the middle of the strip: what its corners bear there has two sides.
+# Off the middle of the strip: what its corners bear there has two sides.
 ON_THE_STRIP = {
     "begin": {"gripper": {"position_m": [0.0015, 0.0, 0.0]}, "finger": {"position_m": [-0.26, 7e-4, -0.0016]}},
     "motions": {"finger": [RUB]},
@@ -110,7 +110,7 @@ def test_gradients_by_all_classes_of_parameters(name):
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", SLIDING)
 def test_gradients_by_the_friction_of_what_slides(name):
-    """Below 1e-4, forwards as well as backwards, in a channel of each: some stand beside a jump in others."""
+    """Below 1e-4, forwards as well as backwards, in a channel of each: some stand next to a jump in others."""
     until, contacts = SLIDING[name]
     names = [f"contacts.{contact}.friction" for contact in contacts]
     experiment = load_experiment(str(RUNS[name][0]))

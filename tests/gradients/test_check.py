@@ -32,7 +32,7 @@ EXPERIMENT = Experiment.model_validate(
 
 @pytest.fixture(scope="module")
 def stored():
-    """Rollouts beside the one that is differentiated, by what they are of."""
+    """Rollouts other than the one that is differentiated, by what they are of."""
     return {}
 
 
@@ -218,13 +218,13 @@ def test_a_start_that_has_yielded_is_not_judged(small_rig):
     """What flowed under its own weight before the first step is just at yield: differences there have two sides."""
     rig = small_rig(effects={"bending_plasticity": {"yield_curvature_per_m": 0.2, "hardening_ratio": 0.1}})
     _, rows = check(rig, ["start"], steps=(1e-2, 1e-3, 1e-4))
-    beside = [r for r in rows if "triangles have yielded before the first step" in r["reason"]]
-    assert {r["verdict"] for r in beside} == {"jumps"}
+    at_yield = [r for r in rows if "triangles have yielded before the first step" in r["reason"]]
+    assert {r["verdict"] for r in at_yield} == {"jumps"}
     assert "differs" not in {r["verdict"] for r in rows}
 
 
 def test_poses_are_moved_where_they_truly_are(small_rig):
-    """An end effector that is offset: told poses are elsewhere than true ones, and turned."""
+    """An end effector that is offset: nominal poses are elsewhere than true ones, and turned."""
     rig = with_parameters(small_rig(), {"finger.offset_rz_deg": 30.0, "finger.offset_x_m": 1e-3})
     passed, rows = check(rig, ["poses"])
     assert passed and max(r["best"] for r in rows) < 1e-5
@@ -326,7 +326,7 @@ JUMP = [3e4, 3e5, 8e5]
         ([1e-6, 1e-6], "agrees"),
     ],
 )
-def test_a_gradient_beside_a_jump_is_judged_by_the_steps_short_of_it(small, said):
+def test_a_gradient_next_to_a_jump_is_judged_by_the_steps_short_of_it(small, said):
     hidden = np.array([1e-6, 1e-5, 1e-4, 0.01, 0.1])
     assert differences.verdict(FIVE, [*JUMP, *small], hidden, 1e-4, alone=True) == said
 
@@ -370,7 +370,7 @@ def test_rows_that_are_not_judged_are_counted_by_their_reasons():
     closing = _as_text(rows, (1e-3,)).splitlines()[-1]
     assert closing.startswith("1 of 1 judged rows agree")
     assert closing.endswith(
-        "Not judged: 7 of 8 rows (2 without effect, 1 of negligible effect, 3 hidden by round-off, 1 beside a jump)."
+        "Not judged: 7 of 8 rows (2 without effect, 1 of negligible effect, 3 hidden by round-off, 1 next to a jump)."
     )
     nothing = _as_text(rows[1:3], (1e-3,)).splitlines()[-1]
     assert nothing.startswith("Not judged: 2 of 2 rows (2 without effect). Nothing could be judged")
@@ -404,7 +404,7 @@ def test_a_kink_is_named_with_its_side_and_is_no_success(small_rig, monkeypatch)
 
 
 @pytest.mark.parametrize(("side", "slope"), [("more", 2.0), ("less", 7.0)])
-def test_a_derivative_of_one_side_of_a_kink_is_told_from_a_wrong_one(side, slope):
+def test_a_derivative_of_one_side_of_a_kink_is_distinguished_from_a_wrong_one(side, slope):
     """Of what rises by 2 to the one side and by 7 to the other, and is curved; that of the middle is of no side."""
 
     def reading(away):

@@ -35,10 +35,10 @@ def unsettled(small_rig, visit):
     return parse_rig(data, "unsettled"), poses, times[:4]  # in the step after these the card may snap either way
 
 
-BESIDE = {"nu": 0.03, "rest_angle_rad": 2.5e-4}
+SHIFTS = {"nu": 0.03, "rest_angle_rad": 2.5e-4}
 """How far fields that are no shares of the rig's number vary about it."""
 DAMPINGS = {"mass_damping_per_s": 3.0, "stiffness_damping_s": 2e-3}
-"""Mean of what dampings have beside the rig's number; never below zero."""
+"""Mean of what is added to the dampings of the rig; never below zero."""
 SCALES = {"nu": 1.0, "rest_angle_rad": 0.01, "mass_damping_per_s": 90.0, "stiffness_damping_s": 0.06}
 """Changes of them that are as large as changes of the others by their own size."""
 
@@ -66,8 +66,8 @@ def uneven(scene):
         if quantity in DAMPINGS:
             scene.fields[name] = given + DAMPINGS[quantity] * np.exp(0.5 * wave)
         else:
-            beside = BESIDE.get(quantity)
-            scene.fields[name] = given * np.exp(0.1 * wave) if beside is None else given + beside * wave
+            shift = SHIFTS.get(quantity)
+            scene.fields[name] = given * np.exp(0.1 * wave) if shift is None else given + shift * wave
 
 
 @pytest.mark.parametrize("case", SCENES)

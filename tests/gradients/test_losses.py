@@ -99,7 +99,7 @@ def test_derivatives_by_what_the_end_remembers_are_put_where_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("term", "name", "values", "told"),
+    ("term", "name", "values", "message"),
     [
         ("sheet.bending", "plastic_curvature", np.ones(3), r"of shape \(3,\).*That term has .*\(2, 3\)"),
         ("sheet.bending", "curvature", np.ones((2, 3)), r"'curvature' of the term 'sheet.bending'"),
@@ -107,7 +107,9 @@ def test_derivatives_by_what_the_end_remembers_are_put_where_it_is() -> None:
         ("sheet.bending", "plastic_curvature", np.full((2, 3), np.nan), "no finite derivatives"),
     ],
 )
-def test_derivatives_by_what_nothing_remembers_are_refused(term: str, name: str, values: np.ndarray, told: str) -> None:
+def test_derivatives_by_what_nothing_remembers_are_refused(
+    term: str, name: str, values: np.ndarray, message: str
+) -> None:
     end = State(0.1, np.zeros((1, 3)), np.zeros((1, 3)), {"sheet.bending": {"plastic_curvature": np.ones((2, 3))}})
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         end_memory(end, {term: {name: values}})

@@ -44,7 +44,7 @@ def test_curvature_operator_against_its_differences(pattern):
 
 
 def cards():
-    """Two cards 10 um apart, beside the gap of 27 um that contact counts from before it; their edges are parallel but
+    """Two cards 10 um apart, within the gap of 27 um that contact counts from before it; their edges are parallel but
     for half a degree."""
     shape = {"type": "rectangle", "length_m": 0.03, "width_m": 0.02, "cells": [3, 2]}
     material = {"E_pa": 2.0e9, "nu": 0.3, "thickness_m": 2.0e-4, "density_kg_m3": 700.0}

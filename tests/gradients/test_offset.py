@@ -27,15 +27,15 @@ def off(rig, values=OFF):
 
 
 def test_an_offset_is_the_same_as_poses_that_have_it(small_rig, visit):
-    """T_told * T_offset, with 4 x 4 matrices."""
+    """T_nominal * T_offset, with 4 x 4 matrices."""
     rig, poses, times = small(RUB, 0.4)(small_rig, visit)
     (mount,) = poses
-    told = poses[mount]
+    nominal = poses[mount]
     shift = np.eye(4)
     shift[:3, :3] = Rotation.from_rotvec([0.4, -0.3, 0.5], degrees=True).as_matrix()
     shift[:3, 3] = [4e-4, -3e-4, 2e-4]
     true = np.tile(np.eye(4), (len(times), 1, 1))
-    true[:, :3, 3], quaternions = told.sample(times)
+    true[:, :3, 3], quaternions = nominal.sample(times)
     true[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
     true = true @ shift
     moved = PoseTrajectory.from_samples(times, true[:, :3, 3], Rotation.from_matrix(true[:, :3, :3]).as_quat())
@@ -45,7 +45,7 @@ def test_an_offset_is_the_same_as_poses_that_have_it(small_rig, visit):
         np.testing.assert_allclose(found.outputs[channel], values, atol=1e-9 * np.nanmax(np.abs(values)))
 
 
-def test_without_an_offset_frames_are_those_that_are_told(small_rig):
+def test_without_an_offset_frames_are_those_that_are_stated(small_rig):
     rig = small_rig()
     frames = build_scene(rig).start
     assert all(with_offsets(rig, frames)[name] is frame for name, frame in frames.items())
@@ -61,11 +61,11 @@ def test_motion_by_an_offset_against_differences(small_rig, size):
         values = np.concatenate([[0.01, -0.02, 0.03], turn]) + change
         return off(rig, dict(zip(OFFSETS, values, strict=True))).end_effectors["finger"]
 
-    told = np.array([0.3, -0.2, 0.1]), Rotation.from_rotvec([0.5, 1.2, -0.8])
+    nominal = np.array([0.3, -0.2, 0.1]), Rotation.from_rotvec([0.5, 1.2, -0.8])
     here = effector(np.zeros(6))
 
     def true(change):
-        return with_offsets(rig.model_copy(update={"end_effectors": {"finger": effector(change)}}), {"finger": told})
+        return with_offsets(rig.model_copy(update={"end_effectors": {"finger": effector(change)}}), {"finger": nominal})
 
     rotation = true(np.zeros(6))["finger"][1]
     for k, h in enumerate([1e-6] * 3 + [np.rad2deg(1e-6)] * 3):
@@ -112,7 +112,7 @@ def test_forward_against_differences_through_contact(small_rig, visit):
 
 
 def test_forward_against_differences_of_a_rigid_body():
-    """While the card rubs on the ball, as it does near the poses that are told: its torque tells of turns."""
+    """While the card rubs on the ball, as it does near the nominal poses: its torque tells of turns."""
     rig, poses, times = ball()
     scene = build_scene(off(rig, LITTLE))
     assert np.abs(simulate(scene, poses, times).outputs["wrench"][:, 3:]).max() > 1e-5

@@ -10,7 +10,7 @@ from sysid.gradients.differences import slope_of
 
 
 @pytest.mark.parametrize("ends", [MIDDLE, EDGE])
-def test_round_off_of_slopes_is_told_by_what_is_left_of_a_straight_line(ends: tuple[float, float]) -> None:
+def test_round_off_of_slopes_is_recognised_by_what_is_left_of_a_straight_line(ends: tuple[float, float]) -> None:
     """Values that are zero but for round-off: the slope of the parabola through them, over their distance from a line,
     as of many draws; 1 for a step to both sides."""
     values = np.random.default_rng(0).standard_normal((3, 100_000))

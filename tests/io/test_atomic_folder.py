@@ -70,13 +70,13 @@ def test_a_folder_may_be_a_link_to_another_file_system(tmp_path: Path, monkeypat
     assert [p.name for p in there.iterdir()] == ["a"]
 
 
-def test_what_cannot_be_moved_is_kept_and_told(tmp_path: Path) -> None:
+def test_what_cannot_be_moved_is_kept_and_reported(tmp_path: Path) -> None:
     out = tmp_path / "fit"
-    with pytest.raises(ConfigError, match="finished but cannot be moved") as told, whole_folder(out) as folder:
+    with pytest.raises(ConfigError, match="finished but cannot be moved") as error, whole_folder(out) as folder:
         (folder / "a").write_text("hours of work")
         out.mkdir()
         (out / "somebody").write_text("else's")
-    kept = re.search(r"is in (\S+): move it", str(told.value))
+    kept = re.search(r"is in (\S+): move it", str(error.value))
     assert kept and (Path(kept[1]) / "a").read_text() == "hours of work"
 
     with pytest.raises(ConfigError, match="finished but cannot be moved"), whole_folder(out) as folder:
@@ -89,7 +89,7 @@ def test_what_cannot_be_moved_is_kept_and_told(tmp_path: Path) -> None:
     ("whole", "place"),
     [(whole_folder, "file"), (whole_folder, "link"), (whole_folder, "/proc/fit"), (whole_file, "/proc/page.md")],
 )
-def test_a_place_that_cannot_be_written_is_told_before_the_job(tmp_path: Path, place: str, whole: Any) -> None:
+def test_a_place_that_cannot_be_written_is_refused_before_the_job(tmp_path: Path, place: str, whole: Any) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "nothing")
     with pytest.raises(ConfigError, match=r"cannot be written: .*Name another place"), whole(tmp_path / place):

@@ -40,12 +40,12 @@ def test_an_offset_is_a_shift_and_a_turn_in_the_camera_s_own_frame(small_rig: An
         "position_m": (pose.position() + pose.rotation().apply(shift)).tolist(),
         "quaternion_xyzw": (pose.rotation() * turn).as_quat().tolist(),
     }
-    moved, told, plain = (
+    moved, stated, plain = (
         simulate(build_scene(r), visit([0.0], [[0.0, 0.0, 0.0]]), np.zeros(1)).outputs["side"]
         for r in (parse_rig(data, "moved"), off(rig, "side", **ASKEW), rig)
     )
-    np.testing.assert_allclose(told, moved, atol=1e-9)
-    assert np.nanmax(np.abs(told - plain)) > 5.0
+    np.testing.assert_allclose(stated, moved, atol=1e-9)
+    assert np.nanmax(np.abs(stated - plain)) > 5.0
 
 
 @pytest.mark.parametrize("offset", [{}, ASKEW])
@@ -57,22 +57,22 @@ def test_derivatives_by_where_a_camera_stands_match_differences(small_rig: Any, 
     assert passed, text
 
 
-@pytest.mark.parametrize("told", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("stated", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_fit_allows_for_a_camera_that_was_not_measured_exactly(
-    workers: ParallelPredictor, tmp_path: Path, told: bool
+    workers: ParallelPredictor, tmp_path: Path, stated: bool
 ) -> None:
     """The camera has slipped by a millimetre and half a degree; the rig says that it may have, or not."""
     rig = strip_rig()
     (camera,) = rig.cameras
     run = pulled(rig, {**TRUTH, f"{camera}.offset_y_m": 1e-3, f"{camera}.offset_rz_deg": 0.5}, tmp_path / "bag")
     data = with_parameters(rig, START).model_dump(exclude_none=True)
-    if told:
+    if stated:
         data["cameras"][camera] |= {"offset_sd_m": (1e-3,) * 3, "offset_sd_deg": (0.5,) * 3}
     options = FitOptions(nuisance=("camera",), intervals="quadratic")
     result, _ = fit_runs(parse_rig(data, "start"), [run], list(TRUTH), options, engine=workers)
     found = {n.name: n for n in result.nuisances}
-    assert (f"{camera}.offset_rz_deg" in found) == told
-    if told:
+    assert (f"{camera}.offset_rz_deg" in found) == stated
+    if stated:
         assert result.reduced_chi2 < 1.1
         assert all(e.ci95[0] <= TRUTH[e.name] <= e.ci95[1] for e in result.estimates)
         turn = found[f"{camera}.offset_rz_deg"]

@@ -63,7 +63,7 @@ def fitted(workers: ParallelPredictor, tmp_path_factory: pytest.TempPathFactory)
 def test_clocks_that_are_off_to_either_side_are_found(fitted: FitResult) -> None:
     assert {(n.name, n.run) for n in fitted.nuisances} == {(f"{c}.latency_s", name) for c in CHANNELS for name in LATE}
     for n in fitted.nuisances:
-        assert n.told and abs(n.value - LATE[n.run]) < 4.0 * n.sd < 0.02, n
+        assert n.informed and abs(n.value - LATE[n.run]) < 4.0 * n.sd < 0.02, n
     for e in fitted.estimates:
         assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1]
     assert fitted.reduced_chi2 < 1.1 and not fitted.unexplained
@@ -89,7 +89,7 @@ def test_the_usual_offset_is_that_of_the_recordings_that_tell_it() -> None:
     assert rig.sensors[CHANNELS[0]].latency_s == pytest.approx(0.02, abs=1e-4)
 
 
-def test_clocks_that_agree_are_told_together() -> None:
+def test_clocks_that_agree_are_reported_together() -> None:
     name = f"{CHANNELS[0]}.latency_s"
     one = Nuisance(name, "a", "s", 0.0, 0.019, (0.017, 0.021), 0.001, 0.03, False, ())
     both = [one, replace(one, run="b", value=0.021, ci95=(0.019, 0.023))]

@@ -29,11 +29,11 @@ def rig_with(**topics_and_driver: object) -> Rig:
 def test_an_end_effector_follows_the_poses_that_the_rig_says() -> None:
     rig = rig_with(driven_by="commanded")
     recording = read_recording(BAG, topics_of(rig, open_bag(BAG, Notes()).topics)[0])
-    told, measured = read_run(rig, BAG).poses, read_run(rig_with(driven_by="measured"), BAG).poses
+    commanded, measured = read_run(rig, BAG).poses, read_run(rig_with(driven_by="measured"), BAG).poses
     for name in rig.end_effectors:
-        np.testing.assert_array_equal(told[name].positions, recording.target_poses[name].position)
+        np.testing.assert_array_equal(commanded[name].positions, recording.target_poses[name].position)
         np.testing.assert_array_equal(measured[name].positions, recording.poses[name].position)
-        assert told[name].noise == (0.0, 0.0)
+        assert commanded[name].noise == (0.0, 0.0)
 
 
 def test_commanded_poses_that_were_not_recorded_are_an_error() -> None:

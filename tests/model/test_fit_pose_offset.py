@@ -37,13 +37,13 @@ def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...], names: list[str]) -> F
     return fit_runs(rig, [run], names, FitOptions(nuisance=nuisance, intervals="quadratic", robust=False))[0]
 
 
-def test_a_recording_has_the_poses_that_are_told(small_rig: Any, askew: Run) -> None:
+def test_a_recording_has_the_poses_that_are_commanded(small_rig: Any, askew: Run) -> None:
     start = small_rig().end_effectors["finger"].start.position()
     np.testing.assert_allclose(askew.poses["finger"].positions[0], start, atol=1e-12)
 
 
 @pytest.mark.slow
-def test_an_offset_that_nobody_told_does_not_fool_a_fit(small_rig: Any, askew: Run) -> None:
+def test_an_offset_that_nobody_measured_does_not_fool_a_fit(small_rig: Any, askew: Run) -> None:
     result = fitted(with_parameters(small_rig(), START), askew, KINDS, list(TRUTH))
     assert result.converged and result.reduced_chi2 < 1.1
     for e in result.estimates:
@@ -73,5 +73,5 @@ def test_what_tells_nothing_leaves_an_offset_at_its_prior(small_rig: Any, tmp_pa
     shifts = [n for n in result.nuisances if n.name.startswith("finger.offset") and n.unit == "m"]
     assert len(shifts) == 3
     for n in shifts:
-        assert not n.told and n.sd >= 0.99 * n.prior_sd and abs(n.value) < 1e-3 * n.prior_sd
+        assert not n.informed and n.sd >= 0.99 * n.prior_sd and abs(n.value) < 1e-3 * n.prior_sd
         assert n.name in result.table().partition("The data do not tell")[2]

@@ -174,24 +174,24 @@ def fitted(rig: Rig, run: Run, names: list[str], kinds: tuple[str, ...]) -> dict
 
 
 def test_a_wrong_scale_is_allowed_for(tmp_path: Path) -> None:
-    told = declared()
-    scale = 1.01 * told.cameras["video"].scale_m_per_px
-    run = load_run(told, record(declared(scale_m_per_px=scale), tmp_path / "bag", (0.0, 0.008), (0.0, 2.0)))
+    rig = declared()
+    scale = 1.01 * rig.cameras["video"].scale_m_per_px
+    run = load_run(rig, record(declared(scale_m_per_px=scale), tmp_path / "bag", (0.0, 0.008), (0.0, 2.0)))
     names = ["knit.E_pa", "knit.nu"]
-    believed, allowed = (fitted(told, run, names, kinds) for kinds in ((), ("camera",)))
+    fixed, allowed = (fitted(rig, run, names, kinds) for kinds in ((), ("camera",)))
     assert allowed["knit.E_pa"][0] < 1e5 < allowed["knit.E_pa"][1]
     assert allowed["knit.nu"][0] < 0.3 < allowed["knit.nu"][1]
-    assert np.ptp(allowed["knit.nu"]) > np.ptp(believed["knit.nu"])
+    assert np.ptp(allowed["knit.nu"]) > np.ptp(fixed["knit.nu"])
     # Asked for, it is not known to be what the rig says, although markers placed by that agree in the first frame.
-    low, high = fitted(told, run, [*names, "video.scale_m_per_px"], ())["video.scale_m_per_px"]
+    low, high = fitted(rig, run, [*names, "video.scale_m_per_px"], ())["video.scale_m_per_px"]
     assert low < scale < high
 
 
 def test_a_slack_grip_is_allowed_for(tmp_path: Path) -> None:
-    told = declared()
-    puller = told.end_effectors["puller"].model_copy(update={"offset_y_m": 0.0005})
-    there = told.model_copy(update={"end_effectors": {"puller": puller}})
-    run = load_run(told, record(there, tmp_path / "bag", (0.0, 0.008), (0.0, 2.0)))
-    believed, allowed = (fitted(told, run, ["knit.E_pa", "knit.nu"], kinds) for kinds in ((), ("pose",)))
-    assert believed["knit.E_pa"][0] > 1.05e5
+    rig = declared()
+    puller = rig.end_effectors["puller"].model_copy(update={"offset_y_m": 0.0005})
+    there = rig.model_copy(update={"end_effectors": {"puller": puller}})
+    run = load_run(rig, record(there, tmp_path / "bag", (0.0, 0.008), (0.0, 2.0)))
+    fixed, allowed = (fitted(rig, run, ["knit.E_pa", "knit.nu"], kinds) for kinds in ((), ("pose",)))
+    assert fixed["knit.E_pa"][0] > 1.05e5
     assert allowed["knit.E_pa"][0] < 1e5 < allowed["knit.E_pa"][1] < 1.05e5

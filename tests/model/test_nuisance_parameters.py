@@ -1,4 +1,4 @@
-"""What nobody tells is estimated beside the parameters: offsets in time, untared wrenches, cameras that are off."""
+"""Nuisances are estimated with the parameters: offsets in time, untared wrenches, cameras that are off."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_bias_pulls_parameters_away_unless_it_is_allowed_for(stubs: None) -> N
     assert off[1].max() > 0.2
     biases = nuisances_of(problem_of(run), fits[0])
     assert [n.name for n in biases] == [f"gauge {label} bias" for label in LABELS]
-    assert all(n.told and n.far and abs(n.value - b) < 4.0 * n.sd for n, b in zip(biases, BIAS, strict=True))
+    assert all(n.informed and n.far and abs(n.value - b) < 4.0 * n.sd for n, b in zip(biases, BIAS, strict=True))
     assert {n.unit for n in biases} == {"N", "N m"} and {n.run for n in biases} == {"press"}
     (said,) = remarks(cast(Any, None), biases, trusted=True)
     assert said.startswith("In press, gauge has a bias of force x 0.30") and "tare it" in said
@@ -147,7 +147,7 @@ def test_a_gauge_along_one_axis_has_one_bias(stubs: None) -> None:
 
 
 def test_what_only_a_bias_hides_is_said(stubs: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A weight that never changes cannot be told from a bias of the sensor that carries it."""
+    """A weight that never changes cannot be separated from a bias of the sensor that carries it."""
     constant = SLOPES.copy()
     constant[:, :, 1] = constant[-1, :, 1]
     monkeypatch.setitem(globals(), "SLOPES", constant)
@@ -182,7 +182,7 @@ def test_nuisances_have_a_prior_and_stay_there_without_information(stubs: None) 
     )
     np.testing.assert_allclose(known.sd[:2], uncertainty(alone).sd, rtol=1e-2)
     (n,) = nuisances_of(problem, found)
-    assert not n.told and not n.far and remarks(cast(Any, None), [n], trusted=True) == []
+    assert not n.informed and not n.far and remarks(cast(Any, None), [n], trusted=True) == []
 
 
 def test_a_parameter_that_only_the_clock_hides_is_no_better_known_than_the_clock(stubs: None) -> None:
@@ -319,8 +319,8 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
     turn = Nuisance("finger.offset_rz_deg", "", "deg", 0.1, -0.3, (-0.3392, -0.2608), 0.02, 0.5, False, ())
     vague = replace(shift, sd=6e-4)
     assert [kind_of(small_rig(), n.name) for n in (shift, turn)] == ["pose", "pose"]
-    told = {name: kind_of(small_rig(), f"side.{name}") for name in ("cx_px", "offset_x_m", "latency_s")}
-    assert told == {"cx_px": "camera", "offset_x_m": "camera", "latency_s": "time"}
+    kinds = {name: kind_of(small_rig(), f"side.{name}") for name in ("cx_px", "offset_x_m", "latency_s")}
+    assert kinds == {"cx_px": "camera", "offset_x_m": "camera", "latency_s": "time"}
     assert remarks(small_rig(), [shift, turn, vague], trusted=True) == [
         "The end effector finger is shifted by 0.400 +- 0.010 mm along x of its own frame: write finger.offset_x_m = "
         "0.0004 into the rig, or correct how its poses are calibrated.",
@@ -332,8 +332,8 @@ def test_remarks_say_how_an_end_effector_is_off(small_rig: Any) -> None:
 def test_kinds_are_checked() -> None:
     assert checked_kinds(["all"]) == set(KINDS) and checked_kinds(["none"]) == set()
     assert checked_kinds(["time", "bias"]) == {"time", "bias"}
-    assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated unless told otherwise"
-    for wrong, said in ((["tine"], "no nuisance 'tine'"), (["none", "time"], "'none' stands beside others")):
+    assert FitOptions().kinds == set(KINDS), "what a laboratory leaves unknown is estimated by default"
+    for wrong, said in ((["tine"], "no nuisance 'tine'"), (["none", "time"], "'none' stands with others")):
         with pytest.raises(ConfigError, match=said):
             checked_kinds(wrong)
 

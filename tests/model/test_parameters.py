@@ -79,7 +79,7 @@ def test_bounds_can_be_narrowed_and_not_widened(small_rig: Any) -> None:
         within_bounds(parameters, rig, {"gel.E": (1e4, 1e6), "gel.E_pa": (1e3, 1e6)})
 
 
-def test_bounds_beyond_the_limits_of_a_parameter_are_told(small_rig: Any) -> None:
+def test_bounds_beyond_the_limits_of_a_parameter_are_reported(small_rig: Any) -> None:
     rig = with_parameters(small_rig(), {"gel.nu": 0.4})
     lower, upper = bounds_cut(rig, ["gel.E", "gel.nu"], {"gel.nu": (-2.0, 7.0), "gel.E_pa": (1e3, 1e9)})
     assert lower.startswith(

@@ -1,4 +1,4 @@
-"""Parameters that each recording has a value of its own of, beside those that all share."""
+"""Parameters that each recording has a value of its own of, in addition to those that all share."""
 
 from __future__ import annotations
 

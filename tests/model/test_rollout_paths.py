@@ -1,4 +1,4 @@
-"""Which rollouts begin their steps beside which."""
+"""Which rollouts are warm-started from which."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def rig() -> Rig:
 
 
 class Rollouts:
-    """Rollouts that are done at once; ``asked``: for each, whether it keeps its path, and beside which it is."""
+    """Rollouts that are done at once; ``asked``: for each, whether it keeps its path, and which path it starts from."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[bool, NodePath | None]] = []
         self.fail = False
 
-    def __call__(self, keep_path: bool, beside: NodePath | None) -> Future[Prediction]:
-        self.asked.append((keep_path, beside))
+    def __call__(self, keep_path: bool, warm_start: NodePath | None) -> Future[Prediction]:
+        self.asked.append((keep_path, warm_start))
         future: Future[Prediction] = Future()
         if self.fail:
             future.set_exception(ConvergenceError("It does not converge.", "Use shorter steps."))
@@ -45,13 +45,13 @@ class Rollouts:
         return future
 
 
-def test_later_rollouts_of_a_recording_are_beside_the_first_one(rig: Rig) -> None:
+def test_later_rollouts_of_a_recording_start_from_the_path_of_the_first(rig: Rig) -> None:
     paths, begin = RolloutPaths(), Rollouts()
     for given in (rig, rig.model_copy(update={"effects": {"gel_relaxation": {}}})):
         paths.start(given, RUN, 1, None, begin)
     assert begin.asked[0] == (True, None)
-    keep, beside = begin.asked[1]
-    assert not keep and beside is not None and beside.positions[0, 0, 0] == 1.0
+    keep, warm_start = begin.asked[1]
+    assert not keep and warm_start is not None and warm_start.positions[0, 0, 0] == 1.0
 
 
 @pytest.mark.parametrize("other", ["run", "refine", "step", "steps", "shape"])

@@ -25,8 +25,9 @@ BEND_S = 0.4
 STAMPS = np.linspace(0.02, BEND_S, 15)
 
 
-def strip(beside=None, **effects):
-    """A strip that two hands hold by its ends, upright so that its weight does not bend it; bodies ``beside`` it."""
+def strip(others=None, **effects):
+    """A strip that two hands hold by its ends, upright so that its weight does not bend it; with ``others`` next to
+    it."""
     ends = {"left": [-0.05, -0.04], "right": [0.04, 0.05]}
     return parse_rig(
         {
@@ -39,7 +40,7 @@ def strip(beside=None, **effects):
                     "shape": {"type": "rectangle", "length_m": 0.1, "width_m": 0.02, "cells": [10, 1]},
                     "material": {"E_pa": 2.0e9, "nu": 0.0, "thickness_m": 2.5e-4, "density_kg_m3": 700.0},
                 },
-                **(beside or {}),
+                **(others or {}),
             },
             "clamps": [
                 {"name": f"{h}_clamp", "body": "strip", "region": {"x_m": e}, "mount": h} for h, e in ends.items()
@@ -114,7 +115,7 @@ def test_a_recording_after_another_is_as_if_it_had_not_stopped_between(effects):
 
 
 def test_a_set_goes_along_with_hands_that_begin_elsewhere():
-    """The wrench is told in the hand's frame; weight is along the strip's width, about which hands turn."""
+    """The wrench is measured in the hand's frame; weight is along the strip's width, about which hands turn."""
     rig, predictor = strip(**YIELDS), SerialPredictor()
     expected = predictor.predict(rig, in_turn()[1]).values["wrist"]
     found = predictor.predict(rig, in_turn(turned=2.5)[1]).values["wrist"]
@@ -129,10 +130,10 @@ LOOSE = {
 }
 
 
-@pytest.mark.parametrize(("effects", "beside"), [(YIELDS, {}), (RUBS, {}), (YIELDS, {"loose": LOOSE})])
-def test_derivatives_go_through_recordings_before(effects, beside):
-    """Also beside a body that nothing holds, with which nothing settles."""
-    rig, predictor = strip(beside, **effects), SerialPredictor()
+@pytest.mark.parametrize(("effects", "others"), [(YIELDS, {}), (RUBS, {}), (YIELDS, {"loose": LOOSE})])
+def test_derivatives_go_through_recordings_before(effects, others):
+    """Also with a body that nothing holds, with which nothing settles."""
+    rig, predictor = strip(others, **effects), SerialPredictor()
     _, weak = in_turn()
     ((name, numbers),) = effects.items()
     parameters = fit_parameters(rig, ["strip.E_pa", *(f"effects.{name}.{number}" for number in numbers)])
@@ -184,9 +185,9 @@ def test_the_order_is_that_of_the_stamps():
 
 def test_of_recordings_that_overlap_none_comes_before_another():
     first, second, third = (run_of(n, bend(0.2), t) for n, t in (("first", 1.0), ("second", 2.0), ("third", 3.0)))
-    beside = run_of("beside", bend(0.2), 2.2)
-    assert earlier_motion([first, second, beside, third], third) == ()
-    assert earlier_motion([first, second, beside, third], beside) == ()
+    other = run_of("other", bend(0.2), 2.2)
+    assert earlier_motion([first, second, other, third], third) == ()
+    assert earlier_motion([first, second, other, third], other) == ()
 
 
 def test_a_part_of_a_recording_comes_after_what_was_before_it():
@@ -227,7 +228,7 @@ def test_what_a_law_remembers_along_the_path_of_itself_is_what_it_leaves(effects
             np.testing.assert_allclose(amendment.kept[term][name], value, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-def test_laws_that_last_are_looked_at_beside_one_that_the_rig_has():
+def test_laws_that_last_are_looked_at_with_one_that_the_rig_has():
     """Two sizes at once, after two recordings: what each leaves is its own."""
     rig, predictor = strip(**YIELDS), SerialPredictor()
     strong, weak = in_turn()

@@ -83,6 +83,6 @@ def test_what_is_out_of_sight_stays_so_and_other_runs_have_nothing_added() -> No
     np.testing.assert_array_equal(mapped(there, other, added).values["gauge"], values)
 
 
-def test_a_simulation_that_fails_is_told() -> None:
+def test_a_simulation_that_fails_is_reported() -> None:
     with pytest.raises(ConvergenceError, match="does not converge"):
         engine_at(1.0).submit(cast(Any, -1.0), RUN).result()

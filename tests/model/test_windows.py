@@ -83,7 +83,9 @@ def test_a_window_is_predicted_as_the_whole_recording_is_there(rig: Rig, session
         assert np.array_equal(m.values[inside], n.values, equal_nan=True)
         strongest = np.nanmax(np.abs(there[m.channel] - there[m.channel][0]))
         assert np.nanmax(np.abs(there[m.channel][inside] - here[n.channel])) < 2e-3 * strongest
-    assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), "the others are told once"
+    assert part.notes == ("The window ends at 9 s, the recording's readings at 5.400 s.",), (
+        "the others are reported once"
+    )
 
 
 @pytest.mark.slow
@@ -109,9 +111,9 @@ def test_a_window_that_begins_in_the_middle_of_things_says_so(rig: Rig, session:
     assert any("finger moves in the 0.2 s before the window begins" in note for note in coming.notes)
     deepest = float(run.poses["finger"].times[np.argmin(run.poses["finger"].positions[:, 2])]) + 0.08
     pressed = window_of(rig, run, Part(session, deepest, 9.0))
-    told = not_from_rest(rig, pressed)
-    assert {note.split(":")[0] for note in told} == {"markers", "side", "wrench"}
-    assert all("standard deviations from rest" in note for note in told)
+    notes = not_from_rest(rig, pressed)
+    assert {note.split(":")[0] for note in notes} == {"markers", "side", "wrench"}
+    assert all("standard deviations from rest" in note for note in notes)
 
 
 def test_where_nothing_was_measured(rig: Rig, session: Path) -> None:
@@ -153,10 +155,10 @@ def test_noise_that_repeats_itself_is_no_motion(rig: Rig, session: Path, second:
 
 def test_a_pose_that_is_measured_with_noise_stands_still(rig: Rig, session: Path, second: float) -> None:
     (run,), _ = load_runs(rig, [session])
-    told = run.poses["finger"]
+    poses = run.poses["finger"]
     for seed in range(12):
-        noise = 1e-4 * np.random.default_rng(seed).standard_normal(told.positions.shape)
-        noisy = replace(run, poses={"finger": replace(told, positions=told.positions + noise)})
+        noise = 1e-4 * np.random.default_rng(seed).standard_normal(poses.positions.shape)
+        noisy = replace(run, poses={"finger": replace(poses, positions=poses.positions + noise)})
         part = window_of(rig, noisy, Part(session, second, 9.0))
         assert not any("moves" in note for note in part.notes) and set(part.changes) == {"markers", "side", "wrench"}
 
@@ -183,14 +185,14 @@ def test_windows_that_meet_share_no_reading(rig: Rig, session: Path, second: flo
 
 def test_a_result_says_which_window_it_is_of(rig: Rig, session: Path, second: float) -> None:
     (run,), _ = load_runs(rig, [Path(f"{session}@{second}:9")])
-    told = provenance(rig, [run], [], 0, FitOptions(starts=2, bounds={"gel.E_pa": (1e4, np.inf)}).told())
-    assert told["bags"][0]["window_s"] == [second, 9.0]
-    assert told["options"]["starts"] == 2 and told["options"]["bounds"] == {"gel.E_pa": [1e4, None]}
-    assert told["settings"]["uncertainty"]["conflict_sd"] == 3.0
-    json.dumps(told, allow_nan=False)
+    recorded = provenance(rig, [run], [], 0, FitOptions(starts=2, bounds={"gel.E_pa": (1e4, np.inf)}).to_json())
+    assert recorded["bags"][0]["window_s"] == [second, 9.0]
+    assert recorded["options"]["starts"] == 2 and recorded["options"]["bounds"] == {"gel.E_pa": [1e4, None]}
+    assert recorded["settings"]["uncertainty"]["conflict_sd"] == 3.0
+    json.dumps(recorded, allow_nan=False)
 
 
-def test_a_channel_without_readings_in_a_window_is_told(rig: Rig, session: Path) -> None:
+def test_a_channel_without_readings_in_a_window_is_reported(rig: Rig, session: Path) -> None:
     (run,), _ = load_runs(rig, [session])
     late = tuple(replace(m, values=np.where(m.t[:, None] > 1.0, np.nan, m.values)) if m.channel == "side" else m
                  for m in run.measured)  # fmt: skip

@@ -129,18 +129,18 @@ def test_estimates_and_misfit_are_those_of_the_noise_assumed(monkeypatch: pytest
     """Whatever is known of the colour: a missing law leaves correlated residuals as well."""
     run = run_of(SLOPES @ TRUTH + 0.15 * coloured(np.random.default_rng(2), 0.9))
     sigma = np.full(6, 0.04)
-    told = solved(run, ChannelNoise(sigma, 0.0, "rest"), monkeypatch)
+    found = solved(run, ChannelNoise(sigma, 0.0, "rest"), monkeypatch)
     expected = np.linalg.lstsq(SLOPES.reshape(-1, 2), run.measured[0].values.ravel(), rcond=None)[0]
-    np.testing.assert_allclose(told.scaled, expected, rtol=1e-9)
-    without = uncertainty(replace(told, compared={}))
-    assert np.all(uncertainty(told).sd > 1.1 * without.sd)
-    assert uncertainty(told).reduced_chi2 == without.reduced_chi2
+    np.testing.assert_allclose(found.scaled, expected, rtol=1e-9)
+    without = uncertainty(replace(found, compared={}))
+    assert np.all(uncertainty(found).sd > 1.1 * without.sd)
+    assert uncertainty(found).reduced_chi2 == without.reduced_chi2
 
 
 def test_white_noise_widens_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     run = run_of(SLOPES @ TRUTH + 0.15 * coloured(np.random.default_rng(3), 0.0))
-    told = solved(run, estimate_noise([run], "gauge"), monkeypatch)
-    np.testing.assert_allclose(uncertainty(told).sd, uncertainty(replace(told, compared={})).sd, rtol=0.05)
+    found = solved(run, estimate_noise([run], "gauge"), monkeypatch)
+    np.testing.assert_allclose(uncertainty(found).sd, uncertainty(replace(found, compared={})).sd, rtol=0.05)
 
 
 def test_the_covariance_of_the_scores_is_that_of_autoregressive_noise() -> None:
@@ -216,11 +216,11 @@ def test_runs_of_a_quantity_share_a_colour_and_quantities_do_not(monkeypatch: py
     values = SLOPES @ TRUTH + 0.15 * coloured(rng, 0.0)
     values[:, 3:] = 0.15 * coloured(rng, 0.97)[:, 3:]
     run = run_of(values)
-    told = solved(run, ChannelNoise(np.full(6, 0.15), 0.0, "rest"), monkeypatch)
-    np.testing.assert_allclose(uncertainty(told).sd, uncertainty(replace(told, compared={})).sd, rtol=0.05)
+    found = solved(run, ChannelNoise(np.full(6, 0.15), 0.0, "rest"), monkeypatch)
+    np.testing.assert_allclose(uncertainty(found).sd, uncertainty(replace(found, compared={})).sd, rtol=0.05)
 
 
-def test_what_is_not_known_is_told() -> None:
+def test_what_is_not_known_is_reported() -> None:
     noise = {
         "gauge": ChannelNoise(np.ones(6), 0.0, FROM_DIFFERENCES),
         "video": ChannelNoise(np.ones(6), 0.0, "rest at the start"),

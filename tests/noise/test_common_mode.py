@@ -1,4 +1,5 @@
-"""A shaking camera moves all markers together: it is told from their own noise, and does not count for each of them."""
+"""A shaking camera moves all markers together: it is separated from their own noise, and does not count for each of
+them."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def stretches(shake_px: float, seed: int = 0, mistakes: float = 0.0) -> list[tup
 
 
 @pytest.mark.parametrize("mistakes", [0.0, 0.02])
-def test_a_shake_is_told_from_the_noise_of_the_markers(mistakes: float) -> None:
+def test_a_shake_is_separated_from_the_noise_of_the_markers(mistakes: float) -> None:
     found = common_mode(stretches(SHAKE_PX, mistakes=mistakes))
     assert found is not None
     assert found.sigma == pytest.approx(OWN_PX, rel=0.03)

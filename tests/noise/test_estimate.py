@@ -219,8 +219,8 @@ def test_white_noise_has_its_level(still: bool) -> None:
     """Of a channel at rest, and of one that goes to and fro with 40 times the noise, twice a second.
 
     With w = 2 sin(pi f / rate) = 0.25 the n-th differences of a sine of amplitude 40 sigma have amplitude 40 w^n sigma,
-    those of the noise a deviation of sqrt(C(2n, n)) sigma: 0.625 beside 4.47 for n = 3 (together 0.5 % more than the
-    noise alone), 2.5 beside 2.45 for n = 2 (23 % more).
+    those of the noise a deviation of sqrt(C(2n, n)) sigma: 0.625 against 4.47 for n = 3 (together 0.5 % more than the
+    noise alone), 2.5 against 2.45 for n = 2 (23 % more).
     """
     rng = np.random.default_rng(4)
     t = np.arange(301) / RATE

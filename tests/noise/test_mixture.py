@@ -1,4 +1,4 @@
-"""White noise beside coloured noise is told from either alone, and what both do is known from short rests."""
+"""A sum of white and coloured noise is distinguished from either alone, and what both do is known from short rests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ INTERVAL = 0.01
 
 
 def noisy(rng: np.random.Generator, n: int, columns: int, white: float, coloured: float, rho: float) -> np.ndarray:
-    """White noise beside an autoregressive one."""
+    """White noise plus an autoregressive one."""
     x = rng.standard_normal((n, columns))
     for k in range(1, n):
         x[k] = rho * x[k - 1] + np.sqrt(1.0 - rho**2) * x[k]

@@ -36,7 +36,7 @@ def test_declared_noise_counts_when_it_is_much_larger(declared: float, sigma: fl
     assert noise.source == source
 
 
-def test_what_recordings_show_beside_a_declared_noise_is_said() -> None:
+def test_what_recordings_show_against_a_declared_noise_is_said() -> None:
     """The force is declared a hundred times too noisy, the torque as it is."""
     values = np.random.default_rng(0).standard_normal((300, 6)) * np.repeat([0.02, 0.01], 3)
     run = Run("run", "", (), {}, (Measured("cell", "wrench", np.arange(300) / 50.0, values, ("",) * 6),), 6.0)
@@ -60,7 +60,7 @@ def test_readings_far_apart_do_not_tell_their_noise(pause: float, source: str) -
 
 
 def test_held_out_recordings_tell_the_noise_only_of_channels_that_they_alone_have() -> None:
-    """The held-out recording is ten times noisier, and has a camera beside."""
+    """The held-out recording is ten times noisier, and has a camera in addition."""
     rig, rng = load_rig("card_press"), np.random.default_rng(1)
     t = np.arange(300) / 30.0
     quiet_one, noisy = (
@@ -70,8 +70,8 @@ def test_held_out_recordings_tell_the_noise_only_of_channels_that_they_alone_hav
     tracks = Measured("outside", "tracks", t, rng.standard_normal((300, 54)), ("",) * 54)
     fitted = Run("fitted", "", (), {}, (quiet_one,), float(t[-1]))
     held_out = Run("held out", "", (), {}, (noisy, tracks), float(t[-1]))
-    alone, beside = channel_noise(rig, [fitted]), channel_noise(rig, [fitted], [held_out])
-    np.testing.assert_array_equal(beside["gel_markers"].sigma, alone["gel_markers"].sigma)
+    alone, both = channel_noise(rig, [fitted]), channel_noise(rig, [fitted], [held_out])
+    np.testing.assert_array_equal(both["gel_markers"].sigma, alone["gel_markers"].sigma)
     np.testing.assert_allclose(alone["gel_markers"].sigma, 1e-3, rtol=0.1)
-    assert set(beside) == {"gel_markers", "outside"}
-    np.testing.assert_allclose(beside["outside"].sigma, 1.0, rtol=0.1)
+    assert set(both) == {"gel_markers", "outside"}
+    np.testing.assert_allclose(both["outside"].sigma, 1.0, rtol=0.1)

@@ -94,7 +94,7 @@ def test_markers_that_are_read_to_a_sixteenth_of_a_pixel(px: float) -> None:
     assert common_step(moved.T) == 0.0
 
 
-def test_single_values_beside_the_steps_do_not_hide_them() -> None:
+def test_single_values_off_the_steps_do_not_hide_them() -> None:
     """Every thirtieth reading is interpolated."""
     values = rounded(press(3.0))[:, 2]
     values[5::30] += np.random.default_rng(5).uniform(0.0, STEP, len(values[5::30]))

@@ -139,16 +139,16 @@ def test_a_rig_of_rectified_pictures_is_noted(sound: Recording, rig: Rig) -> Non
     ]
     topics = camera(rig).topics.model_copy(update={"image": "outside/image_rect"})
     of_rectified = rig.model_copy(update={"cameras": {"outside": camera(rig).model_copy(update={"topics": topics})}})
-    told = states(sound, rig, K=K, P=P, D=np.array([-0.2, 0, 0, 0, 0]))
-    assert found(told, of_rectified) == []
+    stated = states(sound, rig, K=K, P=P, D=np.array([-0.2, 0, 0, 0, 0]))
+    assert found(stated, of_rectified) == []
     turned = cv2.Rodrigues(np.array([0.0, 0.1, 0.0]))[0]
     assert names(
         found(
             replace(
-                told,
+                stated,
                 tracks={
                     "outside": replace(
-                        told.tracks["outside"], camera_info=replace(told.tracks["outside"].camera_info, R=turned)
+                        stated.tracks["outside"], camera_info=replace(stated.tracks["outside"].camera_info, R=turned)
                     )
                 },
             ),

@@ -95,7 +95,7 @@ def test_faulty_readings_are_left_out_aloud(tmp_path: Path) -> None:
     assert any("reads exactly" in text and "They are left out." in text for text in run.doubts)
 
 
-def test_what_makes_a_fit_meaningless_stops_it_unless_told_to_go_on(tmp_path: Path) -> None:
+def test_what_makes_a_fit_meaningless_stops_it_unless_allowed(tmp_path: Path) -> None:
     recording = press()
     FAULTS["two_publishers"][0](recording)
     bag = write(recording, tmp_path / "bag")
@@ -109,11 +109,11 @@ def test_a_sensor_does_not_read_more_than_it_can() -> None:
     rig = load_rig(RIG)
     gauge = rig.sensors["wrench_gel"]
     largest = float(np.abs(read(SOUND, rig).wrenches["wrench_gel"].force).max())
-    for range_n, told in ((0.5 * largest, True), (1.01 * largest, False)):
+    for range_n, reported in ((0.5 * largest, True), (1.01 * largest, False)):
         limited = rig.model_copy(
             update={"sensors": {**rig.sensors, "wrench_gel": gauge.model_copy(update={"range_n": range_n})}}
         )
-        assert [f.name for f in findings(SOUND, limited)] == (["sensor_range"] if told else [])
+        assert [f.name for f in findings(SOUND, limited)] == (["sensor_range"] if reported else [])
 
 
 def test_inspect_prints_what_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,8 +160,8 @@ def test_a_pose_that_freezes_stops_a_fit_where_sensors_go_on(tmp_path: Path) -> 
     assert found[0].times[0] == pytest.approx(2.0, abs=0.02) and found[0].times[1] == pytest.approx(3.5, abs=0.02)
 
 
-def test_positions_in_another_unit_are_told_wherever_a_motion_begins(tmp_path: Path) -> None:
-    """Elsewhere than the rig's start in any unit, so that it cannot be told which: no motion is larger than the rig."""
+def test_positions_in_another_unit_are_found_wherever_a_motion_begins(tmp_path: Path) -> None:
+    """Elsewhere than the rig's start in any unit, so that it remains open which: no motion is larger than the rig."""
     recording = press()
     recording.pose.position = (recording.pose.position + [0.05, -0.04, 0.02]) / 0.0254
     (found,) = findings(write(recording, tmp_path / "bag"), load_rig(RIG))
@@ -189,8 +189,8 @@ def test_a_component_that_nothing_measures_is_left_out(tmp_path: Path) -> None:
     assert np.isnan(gauge.values[:, [0, 1, 3, 4, 5]]).all() and np.isfinite(gauge.values[:, 2]).all()
 
 
-def test_torques_in_another_unit_are_told_by_their_noise(tmp_path: Path) -> None:
-    """Where the lever arm is short enough to be believed."""
+def test_torques_in_another_unit_are_found_by_their_noise(tmp_path: Path) -> None:
+    """Where the lever arm is short enough to be plausible."""
     recording = press()
     force = recording.wrench.values[:, :3]
     noise = 1e-5 * np.random.default_rng(4).standard_normal(force.shape)

@@ -67,7 +67,7 @@ def test_the_example_is_a_topic_of_the_right_type() -> None:
     assert error.remedy.endswith("as in sensors.wrench_gel.topic: /wrench.")
 
 
-def test_a_name_that_may_mean_two_topics_is_told_with_both() -> None:
+def test_a_name_that_may_mean_two_topics_is_reported_with_both() -> None:
     two = {t: kind for t, kind in OF_CARD_PRESS.items() if kind != POSE}
     error = refused("card_press", {**two, "/finger/current_pose": POSE, "/gripper/current_pose": POSE})
     assert "(current_pose or target_pose) may be /finger/current_pose or /gripper/current_pose" in error.problem
@@ -122,7 +122,7 @@ def test_markers_of_which_the_rig_knows_none_are_refused(tmp_path: Path) -> None
         load_run(load_rig("card_press"), tmp_path / "bag")
 
 
-def test_many_numbers_are_told_in_short() -> None:
+def test_many_numbers_are_abbreviated() -> None:
     assert numbers_apart(np.arange(0, 40, 2), np.arange(3)).startswith(
         "the recording has 20 markers (0, 2, 4, 6, 8, 10, 12, 14, ...), the rig 3 (0 to 2); never seen: 1; not compared"
     )
@@ -132,6 +132,6 @@ def test_the_rig_names_every_topic_that_a_recording_may_lack_somewhere(capsys: p
     for name in ("card_press", "material_bench", "gel_sensor"):
         assert set(topics_of(load_rig(name), [])[1]) <= set(places_of_topics(load_rig(name)))
     assert main(["inspect", str(PRESS_POST), "--rig", "material_bench"]) == 0
-    told = capsys.readouterr().out
-    assert "missing: load_cell/wrench: the rig 'material_bench' names it in sensors.load_cell.topic, the rec" in told
-    assert told.endswith("What the recording has under another name: write that name there into the rig.\n")
+    output = capsys.readouterr().out
+    assert "missing: load_cell/wrench: the rig 'material_bench' names it in sensors.load_cell.topic, the rec" in output
+    assert output.endswith("What the recording has under another name: write that name there into the rig.\n")

@@ -20,7 +20,7 @@ def topics(rig: Rig) -> set[str]:
     return hands | {s.topic for s in rig.sensors.values()} | {c.topics.marker_tracks for c in rig.cameras.values()}
 
 
-def test_neither_images_beside_tracks_nor_intrinsics_nor_commanded_poses_are_missed(rig: Rig) -> None:
+def test_neither_images_next_to_tracks_nor_intrinsics_nor_commanded_poses_are_missed(rig: Rig) -> None:
     assert topics_of(rig, topics(rig))[1] == ()
 
 
@@ -34,17 +34,17 @@ def test_a_sensor_tracks_and_measured_poses_are_missed(rig: Rig) -> None:
     assert (pose.current_pose, pose.target_pose) == (None, hand.topics.target_pose)
 
 
-def test_what_a_rig_says_of_units_and_orders_is_believed(rig: Rig) -> None:
+def test_what_a_rig_says_of_units_and_orders_is_taken(rig: Rig) -> None:
     """Also that a pose (1, 0, 0, 0), of a tool that points down, is not an identity with w first."""
     data = rig.model_dump(exclude_none=True)
     hand, sensors = next(iter(data["end_effectors"])), list(data["sensors"])
     data["end_effectors"][hand]["topics"] |= {"length_unit": "m", "quaternion_order": "xyzw"}
     for name in sensors:
         data["sensors"][name]["length_unit"] = "mm"
-    told = parse_rig(data, "told")
-    names, _ = topics_of(told, topics(told))
+    stated = parse_rig(data, "stated")
+    names, _ = topics_of(stated, topics(stated))
     assert (names.ee[hand].length_unit, names.ee[hand].quaternion_order) == ("m", "xyzw")
     read = {**names.wrench, **names.markers}
     assert [sensor_topic(read[name]).length_unit for name in sensors] == ["mm"] * len(sensors)
-    untold, _ = topics_of(rig, topics(rig))
-    assert (untold.ee[hand].length_unit, untold.ee[hand].quaternion_order) == (None, None)
+    unstated, _ = topics_of(rig, topics(rig))
+    assert (unstated.ee[hand].length_unit, unstated.ee[hand].quaternion_order) == (None, None)

@@ -27,7 +27,7 @@ def test_names_are_the_shortest_distinct_ends(paths: list[str], names: list[str]
     assert distinct_names([Path(p) for p in paths]) == names
 
 
-def test_a_bag_beside_its_namesake_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bags_of_one_name_have_different_run_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a").mkdir()
     monkeypatch.chdir(tmp_path / "a")
     assert distinct_names([Path("bag"), Path("../b/bag")]) == ["a/bag", "b/bag"]
@@ -60,7 +60,7 @@ def test_what_speaks_against_recordings_is_heard_once_each(
     assert heard == ["a: of another rig.", "b: gap", "b: stuck"]
 
 
-def test_what_a_recording_lacks_is_told_first_and_its_name_once() -> None:
+def test_what_a_recording_lacks_is_reported_first_and_its_name_once() -> None:
     rig = load_rig("card_press")
     more = rig.sensors["wrench_gel"].model_copy(update={"topic": "arm/wrench"})
     heard: list[str] = []

@@ -148,7 +148,7 @@ def waving(amplitude: float, strength: float, known: float | None) -> Fitted:
 @pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
 @pytest.mark.parametrize("strength", [0.3, 1.0, 10.0])
 def test_what_was_known_before_is_not_widened_by_a_misfit_with_structure(strength: float, amplitude: float) -> None:
-    """The search weighs it up beside recordings in which neighbours miss alike: what those say may be worth nothing,
+    """The search weighs it up against recordings in which neighbours miss alike: what those say may be worth nothing,
     but takes nothing from what was known."""
     known = 0.05
     assert uncertainty(waving(amplitude, strength / known, known)).sd[0] < 1.1 * known
@@ -156,7 +156,7 @@ def test_what_was_known_before_is_not_widened_by_a_misfit_with_structure(strengt
 
 @pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
 def test_what_was_known_hardly_before_changes_nothing(amplitude: float) -> None:
-    """However much it is weighed up beside a misfit with structure, of which the colour is seen."""
+    """However much it is weighed up against a misfit with structure, of which the colour is seen."""
     samples = Samples(np.ones((1000, 1), dtype=bool), np.linspace(0.0, 1.0, 1000), (np.array([0]),))
     fits = [replace(waving(amplitude, 1e4, known), compared={(0, "gauge"): samples}) for known in (1.0, None)]
     hardly, never = (uncertainty(fit).sd[0] for fit in fits)

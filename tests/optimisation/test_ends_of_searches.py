@@ -1,4 +1,4 @@
-"""Where a search ends is told, and it is gone on from where intervals show a better fit."""
+"""Where a search ends is reported, and it is gone on from where intervals show a better fit."""
 
 from __future__ import annotations
 

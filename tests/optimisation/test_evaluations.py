@@ -58,7 +58,7 @@ class Counted(Readings):
 
 
 def fit_within(rig: Any, most: int | None) -> tuple[int, list[int], fit.FitResult]:
-    """Evaluations made and told, and the result, of a fit with all that may follow its first search."""
+    """Evaluations made and reported, and the result, of a fit with all that may follow its first search."""
     engine, steps = Counted(), []
     result, _ = fit.fit_runs(
         rig, [run_of("press", "markers")], ["gel.E"], FitOptions(nuisance=("none",), max_evaluations=most),

@@ -202,7 +202,7 @@ def test_outcomes_are_compared_over_what_both_have_in_sight() -> None:
         Fitted([], np.zeros(0), nothing, scale * residual, np.zeros((4, 0)), [], [], nothing, 1, True, "", sight=there)
         for scale, there in ((1.0, np.array([True, True, False, True])), (2.0, np.array([True, True, True, False])))
     )
-    assert one.beside(other) == (5.0, 20.0) and (one.samples, other.samples) == (3, 3)
+    assert one.common_chi2(other) == (5.0, 20.0) and (one.samples, other.samples) == (3, 3)
     assert one.misfit == pytest.approx(one.chi2 / 3.0)
 
 

@@ -79,21 +79,21 @@ def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
         chosen = FitOptions(nuisance=("none",), intervals="quadratic", **options)
         return fit.fit_runs(rig, [run], ["gel.E"], chosen, engine=cast(ParallelPredictor, Readings()))[0]
 
-    plain = fit.fit_beside_discretisation
+    plain = fit.fit_with_discretisation_error
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
     monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
-    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error, 1, plain))
+    monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error, 1, plain))
     looked = fitted_with(robust=True)
-    assert "it was not repeated without the readings that are mistakes beside it" in looked.message
+    assert "it was not repeated without its outliers" in looked.message
     monkeypatch.setattr(fit, "_profiled", lambda problem, fitted, findings, *given: ([], findings, fitted.scaled))
-    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error, 1, plain))
+    monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error, 1, plain))
     further = fitted_with(robust=False)
     assert "a better fit that is known was not searched from" in further.message
     for result in (looked, further):
         assert not result.converged and words in result.message
         assert result.estimates[0].value == pytest.approx(TRUTH, rel=0.01)
-    monkeypatch.setattr(fit, "fit_beside_discretisation", ending(error))
+    monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error))
     with pytest.raises(type(error)):
         fitted_with(robust=True)
 

@@ -41,7 +41,7 @@ def curved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sharp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A stiffness beside an offset across whose kink every marker is missed by more; least at (1.5, 0).
+    """A stiffness and an offset across whose kink every marker is missed by more; least at (1.5, 0).
 
     What one side says of the offset is that the other one is better."""
     side = 1.0 if x[1] >= 0.0 else -1.0
@@ -137,7 +137,7 @@ def test_what_cannot_be_simulated_is_no_minimum() -> None:
 
 
 @pytest.mark.parametrize("start", [-1.0, 0.6, 0.9])
-def test_beside_a_jump_nothing_has_converged(start: float) -> None:
+def test_next_to_a_jump_nothing_has_converged(start: float) -> None:
     """A line with a step in it: least at 0.1 beyond the step, where it has no minimum but at the edge."""
 
     def stepped(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,7 +148,7 @@ def test_beside_a_jump_nothing_has_converged(start: float) -> None:
 
 
 @pytest.mark.parametrize("start", [[3.0, 0.5], [0.0, -0.3]])
-def test_beside_a_kink_it_has(start: list[float]) -> None:
+def test_next_to_a_kink_it_has(start: list[float]) -> None:
     end = Counted(sharp, 200).minimise(start, tolerance=1e-6)
     assert end.converged and end.message in (AT_KINK, AT_MINIMUM)
     np.testing.assert_allclose(end.best.x, [1.5, 0.0], atol=1e-4)

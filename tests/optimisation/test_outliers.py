@@ -57,7 +57,7 @@ def test_jumps_are_found_one_by_one(share: float) -> None:
 
 def test_mistakes_in_a_shaking_picture_are_found_to_its_last_frame() -> None:
     """All markers of a picture move together, by up to six times the noise of one in the last frame, which has no later
-    one beside it."""
+    neighbour."""
     shake = 2.0 * SIGMA * np.sin(9.0 * T + np.array([[0.0], [1.0]])).T[:, None]
     shake[-1] += 6.0 * SIGMA
     miss = jumps(0.03, 5.0)
@@ -188,7 +188,7 @@ def test_a_frame_with_few_markers_in_sight_loses_nothing() -> None:
     assert not found(miss).any()
 
 
-def test_mistakes_beside_shared_slips_are_found() -> None:
+def test_mistakes_among_shared_slips_are_found() -> None:
     """Between the slips; during them more than a third of the markers stand out, and all are kept."""
     slips = bumps(M, slice(6, 18), BURSTS)
     slipping = np.any(slips != 0.0, axis=(1, 2))
@@ -217,10 +217,10 @@ def lost(by: float) -> tuple[Run, Prediction]:
     return run, Prediction({"video": (PLACE + [by * SIGMA, 0.0]).reshape(N, -1)}, {}, cast(Trace, None))
 
 
-def test_beside_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
+def test_against_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
     run, prediction = lost(2.0 * SOLVE.outlier_sd)
-    clean, told = without_outliers([run], [prediction], KNOWN)
-    assert clean == [run] and told == [] and not worth_another_fit([run], clean)
+    clean, excluded = without_outliers([run], [prediction], KNOWN)
+    assert clean == [run] and excluded == [] and not worth_another_fit([run], clean)
     (sentence,) = not_looked_for([run, replace(run, name="pull")], [prediction, prediction], KNOWN)
     assert sentence == (
         "No marker readings are treated as outliers in press (video), pull (video): half of them or more are over 6 "
@@ -228,7 +228,7 @@ def test_beside_a_model_that_is_far_off_nothing_is_a_mistake() -> None:
     )
 
 
-def test_beside_one_that_is_not_they_are() -> None:
+def test_against_one_that_is_not_they_are() -> None:
     run, prediction = lost(0.5 * SOLVE.outlier_sd)
     assert len(without_outliers([run], [prediction], KNOWN)[1]) == 1
     assert not_looked_for([run], [prediction], KNOWN) == []
@@ -236,15 +236,15 @@ def test_beside_one_that_is_not_they_are() -> None:
     assert not most_are_outlying(unseen, prediction.values["video"], KNOWN["video"])
 
 
-def test_what_was_left_out_is_told() -> None:
+def test_what_was_left_out_is_reported() -> None:
     miss = np.zeros((N, M, 2))
     miss[36, [12, 17]] = 5.0
     miss[40, 12] = 5.0
     run = Run("press", "", (), {}, (track(miss),), T[-1])
     prediction = Prediction({"video": PLACE.reshape(N, -1)}, {}, cast(Trace, None))
-    (clean,), (told,) = without_outliers([run], [prediction], KNOWN)
-    assert told.markers == {"12": [T[36], T[40]], "17": [T[36]]}
-    assert told.sentence == (
+    (clean,), (excluded,) = without_outliers([run], [prediction], KNOWN)
+    assert excluded.markers == {"12": [T[36], T[40]], "17": [T[36]]}
+    assert excluded.sentence == (
         "press: 0.05 % of the marker readings of video are treated as outliers: markers 12 (2 from 1.20 s), "
         "17 (at 1.20 s)."
     )
@@ -254,7 +254,7 @@ def test_what_was_left_out_is_told() -> None:
     assert worth_another_fit([clean], [run])
 
 
-def test_too_many_are_kept_and_told() -> None:
+def test_too_many_are_kept_and_reported() -> None:
     """Nine of the thirty in every frame."""
     rng = np.random.default_rng(7)
     miss = np.zeros((N, M, 2))
@@ -262,8 +262,8 @@ def test_too_many_are_kept_and_told() -> None:
         miss[k, rng.permutation(M)[:9], 0] = 5.0
     run = Run("press", "", (), {}, (track(miss),), T[-1])
     prediction = Prediction({"video": PLACE.reshape(N, -1)}, {}, cast(Trace, None))
-    (clean,), (told,) = without_outliers([run], [prediction], KNOWN)
-    assert told.share > 0.2 and told.kept and "too many to be exceptions" in told.sentence
+    (clean,), (excluded,) = without_outliers([run], [prediction], KNOWN)
+    assert excluded.share > 0.2 and excluded.kept and "too many to be exceptions" in excluded.sentence
     np.testing.assert_array_equal(clean.measured[0].values, run.measured[0].values)
 
 

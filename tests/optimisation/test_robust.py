@@ -63,10 +63,10 @@ def test_mistakes_of_the_tracker_do_not_fool_a_fit(careful: FitResult, plain: Fi
     for e, alone in zip(careful.estimates, plain.estimates, strict=True):
         assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1]
         assert e.sd < 1.15 * alone.sd
-    (told,) = careful.outliers
+    (excluded,) = careful.outliers
     number = np.sum(np.any(blurred() != 0.0, axis=2))
-    assert told.share == pytest.approx(number / (FRAMES * 33), rel=0.05)
-    assert told.sentence in careful.notes and "are treated as outliers: markers" in careful.table()
+    assert excluded.share == pytest.approx(number / (FRAMES * 33), rel=0.05)
+    assert excluded.sentence in careful.notes and "are treated as outliers: markers" in careful.table()
     assert json.loads(json.dumps(careful.to_json()))["outliers"][0]["channel"] == "above"
     assert any(s.outliers for s in careful.series)
     write_fit_report(careful, tmp_path / "report.html")
@@ -97,9 +97,9 @@ def test_held_out_scores_count_every_reading(clean: Run, dirty: Run, workers: Pa
     assert score[0].after == pytest.approx(np.sqrt(mine[0].after ** 2 + np.mean(jumps**2)), rel=0.05)
     assert score[0].after > 4.0 * mine[0].after
     assert result.outliers == [] and not any(s.outliers for s in result.series)
-    (told,) = (note for note in result.notes if "look like mistakes" in note)
-    number = int(told.split(": ")[1].split()[0])
-    assert number == pytest.approx(np.sum(np.any(jumps != 0.0, axis=2)), rel=0.05) and "count them all" in told
+    (note,) = (note for note in result.notes if "look like mistakes" in note)
+    number = int(note.split(": ")[1].split()[0])
+    assert number == pytest.approx(np.sum(np.any(jumps != 0.0, axis=2)), rel=0.05) and "count them all" in note
 
 
 def test_no_fit_is_repeated_where_the_model_is_far_off(
@@ -109,13 +109,13 @@ def test_no_fit_is_repeated_where_the_model_is_far_off(
     bent = np.zeros((FRAMES, 33, 2))
     bent[:, :, 1] = 20.0 * np.sin(np.linspace(0.0, np.pi, 33)) + 40.0 * np.linspace(0.0, 1.0, FRAMES)[:, None]
     fits = []
-    once = fit.fit_beside_discretisation
+    once = fit.fit_with_discretisation_error
 
     def counted(*given: Any, **named: Any) -> Any:
         fits.append(given)
         return once(*given, **named)
 
-    monkeypatch.setattr(fit, "fit_beside_discretisation", counted)
+    monkeypatch.setattr(fit, "fit_with_discretisation_error", counted)
     run = pulled(RIG, TRUTH, tmp_path / "bag", jumps=blurred() + bent)
     result = fit_runs(RIG, [run], ["strip.E"], replace(PLAIN, max_evaluations=3), engine=workers)[0]
     assert len(fits) == 1 and result.outliers == []

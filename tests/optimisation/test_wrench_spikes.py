@@ -36,7 +36,7 @@ def test_clean_readings_lose_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [40.0, 100.0, 1e4])
-@pytest.mark.parametrize("astray", [0.0, 0.3], ids=["beside a good model", "beside one that is off"])
+@pytest.mark.parametrize("astray", [0.0, 0.3], ids=["a good model", "a model that is off"])
 def test_glitches_are_found_in_their_component(size: float, astray: float) -> None:
     miss = astray * SMOOTH
     true = np.zeros((N, 6), dtype=bool)
@@ -114,20 +114,20 @@ def test_what_is_missing_is_no_spike() -> None:
     assert found(miss).sum() == 1
 
 
-def test_what_was_left_out_is_told() -> None:
+def test_what_was_left_out_is_reported() -> None:
     miss = np.zeros((N, 6))
     miss[120, 2], miss[250, 2], miss[250, 4] = 1.0, -1.0, 0.1
     values = SMOOTH + NOISE + miss
     run = Run("press", "", (), {}, (Measured("gauge", "wrench", T, values, LABELS),), T[-1])
     prediction = Prediction({"gauge": SMOOTH}, {}, cast(Trace, None))
     noise = {"gauge": ChannelNoise(SIGMA, 0.0, "known")}
-    (clean,), (told,) = without_outliers([run], [prediction], noise)
-    assert told.markers == {"force z": [1.2, 2.5], "torque y": [2.5]} and not told.kept
-    assert told.sentence == (
+    (clean,), (excluded,) = without_outliers([run], [prediction], noise)
+    assert excluded.markers == {"force z": [1.2, 2.5], "torque y": [2.5]} and not excluded.kept
+    assert excluded.sentence == (
         "press: 0.12 % of the readings of gauge are single spikes, treated as outliers: force z (2 from 1.20 s), "
         "torque y (at 2.50 s)."
     )
-    assert "mistakes of the sensor" in told.sentence_of_score
+    assert "mistakes of the sensor" in excluded.sentence_of_score
     gone = np.isnan(clean.measured[0].values)
     np.testing.assert_array_equal(gone, miss != 0.0)
     tracks = replace(run, measured=(replace(run.measured[0], values=SMOOTH + NOISE),))

@@ -43,7 +43,7 @@ def test_contact_forces_balance_the_wrench_of_a_slow_press(trace: Trace) -> None
     assert force[:, gel].sum(axis=1) == pytest.approx(-force[:, block].sum(axis=1), abs=1e-9)
     k = int(np.argmax(force[:, gel, 2].sum(axis=1)))
     assert force[k, gel, 2].sum() > 1.0
-    # The sensor's z points along that of the gel, down; beside the contact it bears the weight, 6 mN.
+    # The sensor's z points along that of the gel, down; in addition to the contact it bears the weight, 6 mN.
     assert force[k, gel, 2].sum() == pytest.approx(-trace.outputs["wrench"][k, 2], rel=0.01)
     assert (trace.states.pressures[0] == 0.0).all() and trace.states.pressures[k].max() > 1e4
 
@@ -71,7 +71,7 @@ def test_a_trace_comes_back_from_its_file_as_it_was(trace: Trace, tmp_path: Path
         save_trace(path, trace)
 
 
-def test_what_is_no_trace_is_told(tmp_path: Path) -> None:
+def test_what_is_no_trace_is_refused(tmp_path: Path) -> None:
     (tmp_path / "note.npz").write_text("no")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     for name in ("note.npz", "other.npz"):

@@ -1,4 +1,4 @@
-"""Rigs and motions that are made wrong on purpose are told, each for what it is; those that ship are not."""
+"""Rigs and motions that are made wrong on purpose are reported, each for what it is; those that ship are not."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_no_experiment_that_ships_looks_wrong(rig: str, experiment: str) -> None
     assert review(chosen, compile_experiment(load_experiment(experiment), chosen)) == []
 
 
-def test_a_slide_in_air_is_told_with_how_near_it_comes() -> None:
+def test_a_slide_in_air_is_reported_with_how_near_it_comes() -> None:
     rig = load_rig("gel_sensor")
     poses = compile_experiment(slide([0.01, 0.0, -0.0004]), rig)
     (finding,) = review(rig, poses)
@@ -50,18 +50,18 @@ def test_a_slide_in_air_is_told_with_how_near_it_comes() -> None:
 
 
 @pytest.mark.parametrize(("depth", "found"), [(0.00095, ["no contact"]), (0.00105, [])])
-def test_a_press_that_just_touches_is_not_told(depth: float, found: list[str]) -> None:
+def test_a_press_that_just_touches_is_not_reported(depth: float, found: list[str]) -> None:
     assert kinds(load_rig("gel_sensor"), slide([0.0, 0.0, -depth])) == found
 
 
-def test_a_sheet_that_may_droop_to_what_it_is_to_touch_is_not_told() -> None:
+def test_a_sheet_that_may_droop_to_what_it_is_to_touch_is_not_reported() -> None:
     data = raw("card_press")
     data["contacts"] = data["contacts"][:1]
     data["end_effectors"]["finger"]["start"]["position_m"] = [0.03, 0.0, 0.09]
     assert kinds(parse_rig(data, "droop"), slide([0.001, 0.0, 0.0])) == []
 
 
-def test_a_gel_that_is_bonded_towards_the_object_is_told() -> None:
+def test_a_gel_that_is_bonded_towards_the_object_is_reported() -> None:
     data = raw("gel_sensor")
     data["bodies"]["gel"]["bonded"] = "top"
     data["cameras"] = {}
@@ -70,13 +70,13 @@ def test_a_gel_that_is_bonded_towards_the_object_is_told() -> None:
     assert "points at block" in finding.problem
 
 
-def test_a_gel_that_is_turned_towards_the_finger_is_told() -> None:
+def test_a_gel_that_is_turned_towards_the_finger_is_reported() -> None:
     data = raw("gel_sensor")
     data["bodies"]["gel"]["pose"]["rpy_deg"] = [0.0, 0.0, 0.0]
     assert "bonded face" in kinds(parse_rig(data, "turned"))
 
 
-def test_a_camera_that_looks_away_is_told_with_where_the_markers_are() -> None:
+def test_a_camera_that_looks_away_is_reported_with_where_the_markers_are() -> None:
     data = raw("gel_sensor")
     data["cameras"]["inside"]["pose"]["rpy_deg"] = [0.0, 0.0, 0.0]
     (finding,) = review(parse_rig(data, "away"))
@@ -84,7 +84,7 @@ def test_a_camera_that_looks_away_is_told_with_where_the_markers_are() -> None:
     assert "behind it" in finding.problem and "49 markers" in finding.problem
 
 
-def test_a_camera_that_looks_aside_is_told_by_how_much() -> None:
+def test_a_camera_that_looks_aside_is_reported_by_how_much() -> None:
     data = raw("gel_sensor")
     data["cameras"]["inside"]["pose"]["rpy_deg"] = [180.0, 60.0, 0.0]
     (finding,) = review(parse_rig(data, "aside"))
@@ -102,7 +102,7 @@ def test_markers_outside_of_the_picture_are_counted() -> None:
     assert finding.problem.startswith("24 of the 49 markers")
 
 
-def test_markers_that_leave_the_picture_of_a_fixed_camera_are_told() -> None:
+def test_markers_that_leave_the_picture_of_a_fixed_camera_are_reported() -> None:
     data = raw("gel_sensor")
     data["cameras"]["inside"] |= {"mount": "world", "pose": {"position_m": [0.0, 0.0, 0.031], "rpy_deg": [180, 0, 0.0]}}
     data["cameras"]["inside"]["pose"]["rpy_deg"] = [180.0, 0.0, 0.0]
@@ -111,7 +111,7 @@ def test_markers_that_leave_the_picture_of_a_fixed_camera_are_told() -> None:
     assert "markers outside" in kinds(rig, slide([0.02, 0.0, -0.0015]))
 
 
-def test_markers_behind_a_rigid_body_are_told() -> None:
+def test_markers_behind_a_rigid_body_are_reported() -> None:
     data = raw("card_press")
     data["cameras"]["outside"]["pose"] = {"position_m": [0.30, 0.0, 0.03], "rpy_deg": [-90.0, 0.0, 90.0]}
     found = review(parse_rig(data, "behind"))
@@ -119,14 +119,14 @@ def test_markers_behind_a_rigid_body_are_told() -> None:
     assert "post stands before them" in found[0].problem
 
 
-def test_markers_on_the_glued_face_are_told() -> None:
+def test_markers_on_the_glued_face_are_reported() -> None:
     data = raw("gel_sensor")
     data["cameras"]["inside"]["sees"][0]["points"]["face"] = "bottom"
     found = review(parse_rig(data, "glued"))
     assert any(f.kind == "markers hidden" and "glued to finger" in f.problem for f in found)
 
 
-def test_markers_on_the_far_side_for_a_camera_outside_are_told() -> None:
+def test_markers_on_the_far_side_for_a_camera_outside_are_reported() -> None:
     data = raw("gel_sensor")
     data["cameras"]["inside"]["mount"] = "world"
     found = review(parse_rig(data, "far"))
@@ -134,7 +134,7 @@ def test_markers_on_the_far_side_for_a_camera_outside_are_told() -> None:
 
 
 @pytest.mark.parametrize("declared", [True, False])
-def test_a_gel_in_a_rigid_body_is_told_with_its_depth(declared: bool) -> None:
+def test_a_gel_in_a_rigid_body_is_reported_with_its_depth(declared: bool) -> None:
     data = raw("gel_sensor")
     data["end_effectors"]["finger"]["start"]["position_m"] = [0.0, 0.0, 0.0035]
     if not declared:
@@ -145,13 +145,13 @@ def test_a_gel_in_a_rigid_body_is_told_with_its_depth(declared: bool) -> None:
     assert ("no contact is declared" in found[0].problem) is not declared
 
 
-def test_a_sheet_through_a_gel_is_told() -> None:
+def test_a_sheet_through_a_gel_is_reported() -> None:
     data = raw("card_press")
     data["end_effectors"]["finger"]["start"]["position_m"] = [0.03, 0.0, 0.052]
     assert kinds(parse_rig(data, "through")) == ["bodies overlap"]
 
 
-def test_a_block_within_a_gel_is_told() -> None:
+def test_a_block_within_a_gel_is_reported() -> None:
     data = raw("gel_sensor")
     inner = {"type": "affine", "shape": {"type": "box", "size_m": [0.001] * 3}, "material": {"density_kg_m3": 1000.0},
              "pose": {"position_m": [0.0, 0.0, 0.003]}}  # fmt: skip

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.slow
 def test_where_nothing_is_concealed_nothing_is_missing() -> None:
-    """A strip that is tilted, pressed and landed; its modulus is told, from a data sheet that is off by a fifth."""
+    """A strip that is tilted, pressed and landed; its modulus is given by a data sheet that is off by a fifth."""
     case = DATA / "strip_a"
     rig = load_rig(case / "rig.yaml")
     runs, held_out = load_runs(rig, [case / "rec_01@0:1.5", case / "rec_03@0:1"], [case / "rec_02@0:0.8"])

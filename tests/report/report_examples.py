@@ -137,7 +137,7 @@ def gel_relaxation(probability: float) -> Candidate:
     return Candidate(
         "gel_relaxation", "the gel relaxes", "gel",
         "The gel's stress fades while it is held deformed: a share g of its shear stress decays with the time "
-        "constant tau (a Maxwell element beside the spring).",
+        "constant tau (a Maxwell element parallel to the spring).",
         probability,
         (
             NamedParameter(

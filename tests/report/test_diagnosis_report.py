@@ -67,7 +67,7 @@ def test_each_verdict_says_what_it_must(verdicts: dict[str, Page]) -> None:
     assert "Next experiment" in words["unknown"]
 
 
-def test_the_discretisation_error_stands_beside_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
+def test_the_discretisation_error_stands_next_to_the_error_in_its_unit(verdicts: dict[str, Page]) -> None:
     words = verdicts["named"].words
     assert f"wrench_gel force [mN] 14.22.06 7.10{TIMES} to 1.03{TIMES} 2.000.400" in words
     assert "the error of the simulator's own mesh and time step" in words
@@ -109,7 +109,7 @@ def test_no_held_out_data(tmp_path: Path) -> None:
     assert "No recording was held out" in page.words
 
 
-def test_both_answers_and_rivals_may_share_a_name(tmp_path: Path) -> None:
+def test_verdicts_and_rivals_may_share_a_name(tmp_path: Path) -> None:
     twin = replace(compliance(0.2), place="left finger")
     d = make_diagnosis("one_of", effects=(compliance(0.5), twin), alternatives=(plasticity(0.3), twin), series=[])
     page = diagnosis_page(tmp_path, d)

@@ -28,7 +28,7 @@ from sysid.uncertainty.nuisance_estimates import Nuisance
 NAN = float("nan")
 
 
-def test_the_noise_that_is_used_stands_beside_the_declared_one_and_is_told_from_it(tmp_path: Path) -> None:
+def test_the_noise_that_is_used_stands_next_to_the_declared_one_and_is_distinguished(tmp_path: Path) -> None:
     result = make_fit()
     words = fit_page(tmp_path, result).words.split("Provenance")[-2]
     assert "Standard deviation, usedDeclared by the rig" in words
@@ -240,7 +240,7 @@ def test_reports_of_the_same_result_are_the_same(tmp_path: Path) -> None:
     assert one == two
 
 
-def test_what_is_estimated_beside_shares_the_prefix_of_its_unit() -> None:
+def test_what_is_estimated_as_well_shares_the_prefix_of_its_unit() -> None:
     late = Nuisance("wrench.latency_s", "a", "s", 0.0, 0.02, (0.018, 0.022), 0.001, 0.03, False, ())
     found = [late, replace(late, run="b", value=4e-5, ci95=(-2e-4, 3e-4)), replace(late, run="c")]
     rows = nuisance_rows(found)
@@ -248,7 +248,7 @@ def test_what_is_estimated_beside_shares_the_prefix_of_its_unit() -> None:
 
 
 @pytest.mark.parametrize(("own", "level", "says"), [(0.0, "bad", "but not those held out"), (8.0, "good", "as well")])
-def test_what_is_held_out_is_judged_beside_the_error_of_mesh_and_step(
+def test_what_is_held_out_is_judged_with_the_error_of_mesh_and_step(
     tmp_path: Path, own: float, level: str, says: str
 ) -> None:
     """Missed by five times the noise, where one refinement shows an error of none, or of eight times it."""
@@ -259,7 +259,7 @@ def test_what_is_held_out_is_judged_beside_the_error_of_mesh_and_step(
 
 
 def test_options_and_marks_are_in_plain_words() -> None:
-    told = dict(provenance_of({"options": {"starts": 1, "robust": True, "priors": {}, "max_evaluations": None}}).facts)
-    assert told == {"options": "starts: 1; robust: yes"}
+    facts = dict(provenance_of({"options": {"starts": 1, "robust": True, "priors": {}, "max_evaluations": None}}).facts)
+    assert facts == {"options": "starts: 1; robust: yes"}
     rows = make_fit(undetermined={"gel.nu"}).table().splitlines()
     assert next(r for r in rows if r.startswith("gel.nu")).endswith("(not determined, at its bound)")

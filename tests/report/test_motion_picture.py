@@ -142,7 +142,7 @@ def test_pictures_and_page_are_named_after_the_folder(drawn: Path, capsys: pytes
         "pics.v2", "pics.v2.md", "pics.v2/one.svg", "pics.v2/two.svg",
     ]  # fmt: skip
     assert f"Page: {drawn}/deep/pics.v2.md" in capsys.readouterr().out
-    assert experiments_page.page_beside(Path(".")) == drawn.with_name(f"{drawn.name}.md")
+    assert experiments_page.page_path(Path(".")) == drawn.with_name(f"{drawn.name}.md")
     page = (drawn / "deep" / "pics.v2.md").read_text()
     assert "(pics.v2/one.svg)" in page and "`thinshell experiments one.yaml two.yaml --out deep/pics.v2 --page`" in page
 

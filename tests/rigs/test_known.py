@@ -30,14 +30,14 @@ def test_a_deviation_of_a_positive_number_is_a_share_of_its_value(small_rig: Any
     assert fit_parameters(rig, ["gel.E"])[0].known_sd == pytest.approx(0.2)
 
 
-def test_a_diagnosis_believes_the_rig_before_what_is_usual(small_rig: Any) -> None:
+def test_a_diagnosis_takes_the_rig_before_what_is_usual(small_rig: Any) -> None:
     rig = small_rig(known={"gel.E": {"relative_sd": 0.01}})
     modulus, other = believed(rig, fit_parameters(rig, ["gel.E", "card.E"]))
     assert modulus.known_sd == pytest.approx(0.01)
     assert other.known_sd == DIAGNOSIS.known_sd["E_pa"]
 
 
-def test_what_a_fit_is_told_takes_its_place(small_rig: Any) -> None:
+def test_a_prior_of_the_fit_takes_its_place(small_rig: Any) -> None:
     rig = small_rig(known={"gel.E": {"relative_sd": 0.01}})
     (modulus,), _ = known_before(fit_parameters(rig, ["gel.E"]), rig, {"gel.E": (2e5, 4e4)})
     assert modulus.known_sd == pytest.approx(0.2)

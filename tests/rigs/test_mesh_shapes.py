@@ -22,7 +22,7 @@ GEL = solids.block((20.0, 10.0, 10.0), (2, 1, 1))
 
 
 def rig_file(folder: Path, **changes: Any) -> Path:
-    """A rig with an arch of foil and a gel beside it, in a folder of its own, meshes in another."""
+    """A rig with an arch of foil and a gel next to it, in a folder of its own, meshes in another."""
     (folder / "meshes").mkdir()
     (folder / "rigs").mkdir()
     bent = ARCH.nodes.copy()

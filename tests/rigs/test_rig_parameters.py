@@ -75,11 +75,14 @@ def test_an_unknown_name_is_answered_with_the_nearest(written: str, remedy: str)
     ],
 )
 def test_offsets_name_the_frame_that_they_are_measured_in(owner: str, frame: str) -> None:
-    """There the true pose is: shifted along, and then turned about, the axes of the pose that is told."""
-    told = {p.name: p.description for p in list_parameters(RIG)}
+    """There the true pose is: shifted along, and then turned about, the axes of the nominal pose."""
+    descriptions = {p.name: p.description for p in list_parameters(RIG)}
     for axis in "xyz":
-        assert told[f"{owner}.offset_{axis}_m"] == f"shift of the true pose along {axis} {frame}"
-        assert told[f"{owner}.offset_r{axis}_deg"] == f"turn of the true pose, after the shift, about {axis} {frame}"
+        assert descriptions[f"{owner}.offset_{axis}_m"] == f"shift of the true pose along {axis} {frame}"
+        assert (
+            descriptions[f"{owner}.offset_r{axis}_deg"]
+            == f"turn of the true pose, after the shift, about {axis} {frame}"
+        )
     changed = with_parameters(RIG, {f"{owner}.offset_x": 0.01, f"{owner}.offset_rx": 30.0})
     part = changed.end_effectors.get(owner) or changed.cameras[owner]
     upright = Rotation.from_euler("z", 90.0, degrees=True)

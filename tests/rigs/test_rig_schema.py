@@ -119,7 +119,7 @@ FAULTS: dict[str, tuple[Edit, str]] = {
     "mount unknown": (lambda d: d["bodies"]["gel"].update(mount="fingr"), r"Did you mean 'finger'"),
     "bond without mount": (lambda d: d["bodies"]["gel"].pop("mount"), r"bonded but no mount"),
     "no such face": (lambda d: d["bodies"]["gel"].update(bonded="left"), r"no face of a block"),
-    "clamp beside the body": (
+    "clamp off the body": (
         lambda d: d["clamps"][0].update(region={"x_m": [-50, -45]}),
         r"misses 'card': it reaches from -0\.05 to 0\.05",
     ),

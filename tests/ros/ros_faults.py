@@ -52,7 +52,7 @@ GIVEN = {
 }  # fmt: skip
 
 SIGNALS = {"sigint": signal.SIGINT, "sigterm": signal.SIGTERM, "sigkill": signal.SIGKILL}
-ENDED = r"the node was told to end"
+ENDED = r"the node was asked to end"
 KINDS = {
     **{kind: CAUSES.get(kind, "") for kind in FAULTS if kind not in ("clock_jump", "loop_stall", "commander_killed")},
     "pose_late": r"last reading of the pose of hand|stamp of the pose of hand|follows its commands",
@@ -339,10 +339,10 @@ def _lacks(bag: Path, fault: Fault, commands: int, state: str, reason: str) -> s
         found = sum(c.msgcount for c in reader.connections if c.topic == f"{PLACE}/target_pose")
         status = [c for c in reader.connections if c.topic == f"{PLACE}/{NODE}/status"]
         messages = (reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections=status))
-        told = {pair.value for message in messages for pair in message.values}
+        values = {pair.value for message in messages for pair in message.values}
     if found < 0.98 * commands:
         return f"{commands - found} of {commands} commands"
-    return "why it was aborted" if state == "aborted" and reason and reason not in told else ""
+    return "why it was aborted" if state == "aborted" and reason and reason not in values else ""
 
 
 def table(ends: list[Ended]) -> str:

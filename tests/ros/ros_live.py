@@ -138,7 +138,7 @@ class Client:
     def call(self, kind: Any, name: str, request: Any) -> Any:
         """Response of a service.
 
-        Asked again after a while: a server that has not discovered the client yet answers into the void. All
+        Asked again after a while: a server that has not discovered the client yet replies into the void. All
         services may be called twice.
         """
         client = self.node.create_client(kind, name)

@@ -20,7 +20,7 @@ COMPLIANCE = "\n  end_effector_compliance: {compliance_m_per_n: 0.05}"
 
 
 def task_file(folder: Path) -> Path:
-    """The small task with a rig that has a sensor, at rest in each step; beside it that of the robot."""
+    """The small task with a rig that has a sensor, at rest in each step; next to it that of the robot."""
     plain = RIG.replace("inertia: true", "inertia: false").replace("friction: 0.4", "friction: 0.05")
     (folder / "rig.yaml").write_text(plain + SENSORS)
     (folder / "robot.yaml").write_text(plain.replace("\neffects:", f"\neffects:{COMPLIANCE}") + SENSORS)
@@ -62,12 +62,12 @@ class Steps:
 
 
 def test_it_goes_round_with_the_amended_rig_until_a_replay_is_as_predicted(tmp_path: Path) -> None:
-    steps, told = Steps(), []
-    done = close_loop(str(task_file(tmp_path)), tmp_path / "out", 5, 7, steps.replay, steps.step, told.append)
+    steps, reported = Steps(), []
+    done = close_loop(str(task_file(tmp_path)), tmp_path / "out", 5, 7, steps.replay, steps.step, reported.append)
     assert [(r.number, r.reward, r.achieved, r.verdict, r.effects) for r in done] == [
         (1, 0.125, None, "named", ("end_effector_compliance",)), (2, 0.25, None, "", ()),
     ]  # fmt: skip
-    assert told == done and steps.replayed == [("round_1", False), ("round_2", True)]
+    assert reported == done and steps.replayed == [("round_1", False), ("round_2", True)]
     assert [words[0] for words in steps.asked] == ["optimise", "diagnose", "optimise"]
     assert all(words[words.index("--budget") + 1] == "7" for words in steps.asked if words[0] == "optimise")
     assert [

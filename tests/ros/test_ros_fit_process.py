@@ -113,7 +113,7 @@ def test_finished_files_that_could_not_be_moved_are_kept(monkeypatch: pytest.Mon
     assert json.loads((unfinished(asked.out) / "fit.json").read_text()) == FIT
 
 
-def test_what_speaks_against_a_recording_is_told_before_the_fit_ends(
+def test_what_speaks_against_a_recording_is_reported_before_the_fit_ends(
     monkeypatch: pytest.MonkeyPatch, asked: FitRequest
 ) -> None:
     def fit(*given: Any, on_warning: Callable[[str], None], on_step: Callable[[Step], None], **options: Any) -> None:
@@ -126,9 +126,9 @@ def test_what_speaks_against_a_recording_is_told_before_the_fit_ends(
     monkeypatch.setattr(fit_process, "_end_with", lambda link, part: None)
     monkeypatch.setattr(os, "setsid", lambda: None)
     fit_process.run(SimpleNamespace(send=sent.append), asked)  # type: ignore[arg-type]
-    told, logged = _node(asked, [sent[:2], sent[2:]])
+    statuses, logged = _node(asked, [sent[:2], sent[2:]])
     assert logged[0] == "fit_7: pull: 27 markers, the rig 33."
-    assert [(s.message, s.level) for s in told] == [("running", b"\x01"), ("succeeded", b"\x00")]
+    assert [(s.message, s.level) for s in statuses] == [("running", b"\x01"), ("succeeded", b"\x00")]
 
 
 def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[Any], list[str]]:
@@ -138,11 +138,11 @@ def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[A
     published: list[Any] = []
     logged: list[str] = []
 
-    class Told(SysidNode):
+    class Reported(SysidNode):
         def __init__(self) -> None:
             self._rig, self._request, self._state = RIG, asked, FitState("fit_7", "running", "reading", 200)
             self._process = None
-            self._elapsed_s = self._told_s = 0.0
+            self._elapsed_s = self._reported_s = 0.0
             self._status: Any = SimpleNamespace(publish=published.append)
             self._estimate = self._result = SimpleNamespace(publish=lambda message: None)  # type: ignore[assignment]
 
@@ -152,7 +152,7 @@ def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[A
         def get_fully_qualified_name(self) -> str:
             return "/tactile_sysid"
 
-    node = Told()
+    node = Reported()
     for events in batches:
         node._take(events)
     return published, logged
@@ -171,7 +171,7 @@ def test_a_cancel_that_comes_after_all_is_written_publishes_the_result(
         def __init__(self) -> None:
             self._rig, self._request, self._state = RIG, asked, FitState("fit_7", "running", "writing", 200)
             self._process = started(monkeypatch, wrote_and_says_nothing, asked)
-            self._elapsed_s = self._told_s = 0.0
+            self._elapsed_s = self._reported_s = 0.0
             for topic, messages in published.items():
                 setattr(self, topic, SimpleNamespace(publish=messages.append))
 

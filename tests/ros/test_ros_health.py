@@ -83,16 +83,16 @@ def test_what_lasts_less_than_the_time_between_two_reports_is_in_one_of_them() -
     hasty = Status(False, TROUBLE, 1.0, 1.0, 12, 9, 1e-5, 2, -1e-4, 3, 0.2, 0.5, 0.7)
     for status in (hasty, calm):
         arriving.put((0.0, status))
-    assert [answer for _, answer in supervisor.answers()] == [hasty, calm]
+    assert [answer for _, answer in supervisor.responses()] == [hasty, calm]
     assert supervisor.review() == Status(False, "", 2.0, 0.9, 22, 9, 1e-5, 1, -1e-4, 3, 0.0, 0.5, 0.7)
-    assert supervisor.review() == calm, "told once"
+    assert supervisor.review() == calm, "reported once"
 
 
-def test_a_fault_that_stays_is_told_from_time_to_time() -> None:
+def test_a_fault_that_stays_is_reported_from_time_to_time() -> None:
     announcer = Announcer()
     good, bad = Report("commands", "ok", ""), Report("commands", "warn", "x")
-    told = [announcer.is_news(*pair) for pair in ((good, 0.0), (bad, 1.0), (bad, 2.0), (bad, 40.0), (good, 41.0))]
-    assert told == [False, True, False, True, True]
+    news = [announcer.is_news(*pair) for pair in ((good, 0.0), (bad, 1.0), (bad, 2.0), (bad, 40.0), (good, 41.0))]
+    assert news == [False, True, False, True, True]
 
 
 def test_who_else_publishes_is_said() -> None:

@@ -1,4 +1,4 @@
-"""The loop around the physics: requests, answers, time. Needs no ROS."""
+"""The loop around the physics: requests, responses, time. Needs no ROS."""
 
 import multiprocessing
 import threading
@@ -31,7 +31,7 @@ class FakeReport:
 
 @dataclass
 class FakePhysics:
-    """Steps of 10 ms that cost ``cost_s``; fails when told."""
+    """Steps of 10 ms that cost ``cost_s``; fails on demand."""
 
     dt: float = 0.01
     failure: Any = None
@@ -83,12 +83,12 @@ class Bench:
         raise AssertionError("the answer did not come")
 
     def drain(self, seconds: float) -> list[Any]:
-        """All answers of some time."""
-        end, answers = time.monotonic() + seconds, []
+        """All responses of some time."""
+        end, responses = time.monotonic() + seconds, []
         while (left := end - time.monotonic()) > 0.0:
             if self.link.poll(left):
-                answers.append(self.link.recv())
-        return answers
+                responses.append(self.link.recv())
+        return responses
 
 
 @pytest.fixture
@@ -120,9 +120,9 @@ def test_a_pause_stops_time_and_is_left_out_of_the_stamps(bench: Bench) -> None:
     bench.link.send(Pause(1, True))
     assert bench.until(lambda a: isinstance(a, Done)) == Done(1, True, "paused")
     before = bench.physics.time
-    answers = bench.drain(0.6)
-    assert not [a for a in answers if isinstance(a, Batch)]
-    assert [a for a in answers if isinstance(a, Status)], "it goes on to say how it is doing"
+    responses = bench.drain(0.6)
+    assert not [a for a in responses if isinstance(a, Batch)]
+    assert [a for a in responses if isinstance(a, Status)], "it goes on to say how it is doing"
     bench.link.send(Pause(2, False))
     first = bench.until(lambda a: isinstance(a, Batch))
     assert first.simulated_s == pytest.approx(before + 0.01)
@@ -131,7 +131,7 @@ def test_a_pause_stops_time_and_is_left_out_of_the_stamps(bench: Bench) -> None:
     assert bench.physics.time - before < 0.6, "it does not catch up with the time of the pause"
 
 
-def test_what_a_slow_spell_has_cost_is_told_and_then_left_out(bench: Bench) -> None:
+def test_what_a_slow_spell_has_cost_is_reported_and_then_left_out(bench: Bench) -> None:
     bench.until(lambda a: isinstance(a, Batch))
     bench.physics.cost_s = 0.1
     slow = bench.until(lambda a: isinstance(a, Status) and a.lag_s > 1.0)
@@ -222,7 +222,7 @@ def test_where_no_step_is_found_another_command_goes_on(bench: Bench) -> None:
     bench.until(is_status(trouble=""))
 
 
-def test_it_stops_when_told(bench: Bench) -> None:
+def test_it_stops_on_request(bench: Bench) -> None:
     bench.link.send(Stop())
     bench.thread.join(120.0)
     assert not bench.thread.is_alive()

@@ -87,11 +87,11 @@ def test_pictures_that_cannot_be_read_and_a_layout_that_is_none_are_said(ros: No
         client.listen(DiagnosticArray, "/diagnostics")
         publisher = client.node.create_publisher(Image, "image", 1)
 
-        def told() -> bool:
+        def described() -> bool:
             publisher.publish(Image(encoding="bayer_rggb8", height=4, width=4, step=4, data=bytes(16)))
             return "A picture has the encoding 'bayer_rggb8': it is left out." in node.output
 
-        client.wait(told, f"nothing is said: {node.output}", START_S)
+        client.wait(described, f"nothing is said: {node.output}", START_S)
         said = client.diagnosis("marker_tracker: markers", lambda s: "encoding 'bayer_rggb8'" in s.message)
         assert {pair.key: pair.value for pair in said.values}["unreadable"] != "0"
         assert node.stop() == 0, node.output

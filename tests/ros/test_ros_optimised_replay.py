@@ -148,13 +148,13 @@ def test_the_plant_follows_and_reads_what_was_predicted(run: Path, plant: NodePr
     predicted = trajectory.predicted.wrenches["touch"]
     assert predicted.force_sds_n is not None
 
-    def told(values: np.ndarray) -> np.ndarray:
+    def resampled(values: np.ndarray) -> np.ndarray:
         return np.column_stack([np.interp(at, trajectory.times_s, column) for column in values.T])
 
-    off = forces - told(predicted.forces_n)
+    off = forces - resampled(predicted.forces_n)
     # The mean and the standard deviation are themselves of a few draws: Student's t for the next one.
     most = float(student.ppf(0.99865, DRAWS - 1)) * np.sqrt(1.0 + 1.0 / DRAWS)
-    sds = told(predicted.force_sds_n)
+    sds = resampled(predicted.force_sds_n)
     inside = np.abs(off) < np.sqrt((most * sds) ** 2 + (3.0 * NOISE_N) ** 2)
     assert len(off) > 100 and inside.mean() > 0.98
     # The plant is not the rig: it takes what the draws spread to say so.

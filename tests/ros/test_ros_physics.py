@@ -110,7 +110,7 @@ def test_where_a_step_fails_the_end_effector_is_held_until_the_command_retreats(
     assert physics.failure is None
 
 
-def test_a_gel_that_is_pressed_too_far_is_told_by_name_and_a_retreat_is_followed(physics: Physics) -> None:
+def test_a_gel_that_is_pressed_too_far_is_reported_by_name_and_a_retreat_is_followed(physics: Physics) -> None:
     """To the mount that the gel of 4 mm is glued to, and back; the force that guards look at never falls on the way."""
     physics.reset()
     forces = []
@@ -170,7 +170,7 @@ def test_time_goes_on_over_a_reset(physics: Physics) -> None:
     assert all(r.stamp_s > before for r in readings)
 
 
-def test_poses_are_told_without_the_offset_of_the_end_effector() -> None:
+def test_poses_are_published_without_the_offset_of_the_end_effector() -> None:
     """The probe is 1 mm higher than it says: the pose that goes out is that of the command, and stays so at rest."""
     plain = settings()
     off = replace(plain, rig=with_parameters(plain.rig, {"probe.offset_z_m": 1e-3}))

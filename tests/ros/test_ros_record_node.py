@@ -89,7 +89,7 @@ def test_a_bag_is_not_overwritten(ros: None, tmp_path: Path) -> None:
         recorder.kill()
 
 
-def test_a_recorder_without_topics_is_told_so(ros: None, tmp_path: Path) -> None:
+def test_a_recorder_without_topics_is_refused(ros: None, tmp_path: Path) -> None:
     recorder = NodeProcess("record_node", tmp_path / "output")
     try:
         assert recorder.process.wait(WAIT_S) == 2

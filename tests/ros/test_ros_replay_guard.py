@@ -96,7 +96,7 @@ def test_stamps_may_be_off_by_the_time_out_and_no_more(sign: int, said: str) -> 
     assert f"The stamp of the pose of hand is {said}, at most 0.06 s" in bench.session.reason
 
 
-def test_a_reading_that_was_late_already_and_then_nothing_is_told_as_silence() -> None:
+def test_a_reading_that_was_late_already_and_then_nothing_is_reported_as_silence() -> None:
     bench = Bench().start().run(0.05)
     bench.at_s += 0.001
     bench.feed(late=0.0009)
@@ -221,7 +221,7 @@ def test_it_does_not_begin_from_elsewhere_or_blind() -> None:
     assert "A replay is running" in bench.session.execute(bench.now)
 
 
-def test_a_reading_without_a_stamp_is_told_and_may_be_allowed() -> None:
+def test_a_reading_without_a_stamp_is_reported_and_may_be_allowed() -> None:
     bench = Bench()
     bench.feed(late=bench.now.ros_s)
     assert "has no stamp" in bench.session.execute(bench.now)
@@ -247,7 +247,7 @@ def test_it_holds_where_the_robot_is_unless_that_is_not_to_be_trusted() -> None:
         commanded = bench.session.commanded["hand"]
         bench.at_s += 0.001
         bench.feed(**reading)
-        bench.session.abort(bench.now, "told to")
+        bench.session.abort(bench.now, "on request")
         return bench.session.commanded["hand"], commanded
 
     pose, commanded = held(away=0.0015)
@@ -261,7 +261,7 @@ def test_it_holds_where_the_robot_is_unless_that_is_not_to_be_trusted() -> None:
 
 def test_what_is_held_is_repeated_for_a_while_and_nothing_after() -> None:
     bench = Bench().start().run(0.2)
-    bench.session.abort(bench.now, "told to")
+    bench.session.abort(bench.now, "on request")
     held = bench.session.commanded
     assert not bench.session.abort(bench.now, "again")
     while bench.at_s < 0.2 + HOLD_S - PERIOD_S:
@@ -270,7 +270,7 @@ def test_what_is_held_is_repeated_for_a_while_and_nothing_after() -> None:
     bench.at_s += 2.0 * PERIOD_S
     assert bench.session.tick(bench.now) is None
     assert bench.session.report().level == "error"
-    assert bench.session.report().values["detail"] == "told to"
+    assert bench.session.report().values["detail"] == "on request"
 
 
 def test_a_dry_run_commands_without_anything_that_follows() -> None:

@@ -94,7 +94,7 @@ def broken(change: Any) -> Any:
         (lambda m: setattr(m.header, "frame_id", ""), "frame_id"),
     ],
 )
-def test_a_message_that_is_no_trajectory_is_told(change: Any, said: str) -> None:
+def test_a_message_that_is_no_trajectory_is_refused(change: Any, said: str) -> None:
     from thinshell_ros.replay.messages import from_message
 
     with pytest.raises(ConfigError, match=said):

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.ros
 
 DEPTH_M = 0.0012
 PLACE = "/guarded"
-"""Namespace of the node of the module: a ``sim_node`` of other tests may publish beside it."""
+"""Namespace of the node of the module: a ``sim_node`` of other tests may publish next to it."""
 BOX = Limits(workspace_min_m=(-0.01, -0.01, REST_HEIGHT_M - 0.002), workspace_max_m=(0.01, 0.01, 0.05))
 STIFFNESS_N_PER_M = 2000.0
 CONTACT_M = REST_HEIGHT_M - 0.0005
@@ -42,7 +42,7 @@ def press(rest_s: float = 0.5, down_s: float = 1.0) -> Trajectory:
 
 
 class Plant:
-    """A pad on the topics of the rig: follows its target at once and answers with a spring. Faults are attributes."""
+    """A pad on the topics of the rig: follows its target at once and responds with a spring. Faults are attributes."""
 
     def __init__(self, client: Client, namespace: str = "", pose_topic: str = "/current_pose") -> None:
         from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -245,7 +245,7 @@ def test_a_fault_of_the_plant_aborts_and_holds(
     assert not unconfigured.change("configure"), "it is still active"
 
 
-def test_told_to_abort_it_holds_where_the_robot_is(unconfigured: Replayer, plant: Plant, tmp_path: Path) -> None:
+def test_on_abort_it_holds_where_the_robot_is(unconfigured: Replayer, plant: Plant, tmp_path: Path) -> None:
     active(unconfigured, press(10.0, 4.0), tmp_path)
     execute(unconfigured)
     unconfigured.wait(lambda: plant.z < REST_HEIGHT_M - 0.0003, "it does not go down")
@@ -298,7 +298,7 @@ def test_a_commander_that_ends_leaves_the_robot_where_it_is(ros: None, tmp_path:
         client.spin(0.3)
         assert plant.deepest > REST_HEIGHT_M - DEPTH_M
         if number != signal.SIGKILL:
-            assert "The replay was aborted: the node was told to end" in process.output
+            assert "The replay was aborted: the node was asked to end" in process.output
             assert client.targets[-1].pose.position.z == plant.z
     finally:
         process.kill()

@@ -121,7 +121,7 @@ def gone_back(bench: Bench) -> list[float]:
 @pytest.mark.parametrize("at_s", [0.05, 0.2, 0.5])
 def test_after_an_abort_it_goes_back_on_request_the_way_it_came_within_its_limits(at_s: float) -> None:
     bench = Bench().start().run(at_s)
-    bench.session.abort(bench.now, "told to")
+    bench.session.abort(bench.now, "on request")
     deepest = bench.session.commanded["hand"].position[2]
     bench.run(0.3)
     heights = np.array(gone_back(bench))
@@ -139,7 +139,7 @@ def test_nothing_goes_back_before_a_replay_or_while_one_runs_or_twice() -> None:
     assert "no replay has ended" in bench.session.retract(bench.now)
     bench.start().run(0.2)
     assert "A replay is running" in bench.session.retract(bench.now)
-    bench.session.abort(bench.now, "told to")
+    bench.session.abort(bench.now, "on request")
     gone_back(bench)
     assert "no replay has ended" in bench.session.retract(bench.now)
     assert bench.session.execute(bench.now) == "", "another replay may begin"

@@ -42,13 +42,13 @@ def predicted(draws: np.ndarray, parameters: int, noise: float) -> Trajectory:
         "torque_noise_nm": noise,
         "rate_hz": RATE_HZ,
     }
-    told = {"wrenches": {"pad": wrench}, "draws": len(draws), "open_parameters": parameters}
+    predicted = {"wrenches": {"pad": wrench}, "draws": len(draws), "open_parameters": parameters}
     path = {
         "frame_id": "base_link",
         "positions_m": np.outer(TIMES, [0.0, 0.0, 0.01]),
         "quaternions_xyzw": np.tile([0.0, 0.0, 0.0, 1.0], (len(TIMES), 1)),
     }
-    return validate(Trajectory, {"times_s": TIMES, "end_effectors": {"hand": path}, "predicted": told}, "made")
+    return validate(Trajectory, {"times_s": TIMES, "end_effectors": {"hand": path}, "predicted": predicted}, "made")
 
 
 def replayed(
@@ -234,13 +234,13 @@ def pad_replays(
             "frame_id": "pad", "ids": [0], "positions_m": places.mean(axis=0), "rate_hz": rate_hz,
             "position_sds_m": places.std(axis=0, ddof=1), "position_noise_m": noise_m,
         }  # fmt: skip
-        told = {"wrenches": {"pad": wrench}, "markers": {"gel": markers}, "draws": DRAWS, "open_parameters": 1}
+        predicted = {"wrenches": {"pad": wrench}, "markers": {"gel": markers}, "draws": DRAWS, "open_parameters": 1}
         path = {
             "frame_id": "base_link",
             "positions_m": np.outer(motion(steps), [0.0, 0.0, -0.01]),
             "quaternions_xyzw": np.tile([0.0, 0.0, 0.0, 1.0], (101, 1)),
         }
-        data = {"times_s": steps, "end_effectors": {"hand": path}, "predicted": told}
+        data = {"times_s": steps, "end_effectors": {"hand": path}, "predicted": predicted}
         watch = PredictionWatch(validate(Trajectory, data, "made"), allowed_s, 1.0, false_alarm, STEP_S)
         lag, phase = rng.uniform(*lags_s), rng.uniform(0.0, 1.0 / rate_hz)
         for number in range(-20, 60):

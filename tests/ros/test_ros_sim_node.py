@@ -111,7 +111,7 @@ def test_another_publisher_of_its_topics_is_said(client: Client) -> None:
         client.node.destroy_publisher(other)
 
 
-def test_a_commander_that_outruns_the_speed_limit_is_followed_and_told(client: Client) -> None:
+def test_a_commander_that_outruns_the_speed_limit_is_followed_and_reported(client: Client) -> None:
     """Three turns of 0.45 rad, each at once, where the limit is 3 rad/s and a step 0.02 s."""
     poses, reports = client.heard["current_pose"], client.heard["/diagnostics"]
     seen, still = len(reports), len(poses)
@@ -191,7 +191,7 @@ def test_pause_stops_time(client: Client) -> None:
     assert client.call(SetBool, "thinshell_sim/pause", SetBool.Request(data=False)).message == "running"
     client.wait(lambda: len(client.heard[WRENCH]) > before + 10, "it does not go on")
     assert time.time_ns() - stamps_ns(client.heard[WRENCH])[-1] < 60e9, "stamps are the wall clock's again"
-    client.wait(lambda: "skip" in event_names(client), "the pause is not told")
+    client.wait(lambda: "skip" in event_names(client), "the pause is not reported")
 
 
 def test_a_rig_that_is_not_there_is_said_with_code_2(ros: None, tmp_path: Path) -> None:
@@ -316,8 +316,8 @@ def test_simulated_time_steps_on_demand_and_a_physics_process_that_hangs(ros: No
         assert call("pause", True).success
         client.spin(0.1)
         at = seconds(clock)[-1]
-        answers = [call("step") for _ in range(3)]
-        assert all(a.success and "5 steps of 0.02 s" in a.message for a in answers), answers
+        responses = [call("step") for _ in range(3)]
+        assert all(a.success and "5 steps of 0.02 s" in a.message for a in responses), responses
         client.spin(0.1)
         assert seconds(clock)[-1] - at == pytest.approx(0.3, abs=0.021)
         assert call("pause", False).success

@@ -101,7 +101,7 @@ def node(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodePr
 
 @pytest.fixture
 def fitter(node: NodeProcess, bag: Path, tmp_path: Path) -> Iterator[Fitter]:
-    """A client of a node that is told to fit the pull."""
+    """A client of a node that is asked to fit the pull."""
     fitter = Fitter("fitter", str(bag))
     fitter.set(
         bag_uri=str(bag), held_out_uri="", output_dir=str(tmp_path / "fits"), fit__parameters=["strip.E"],
@@ -239,7 +239,7 @@ def test_a_cancelled_fit_ends_and_leaves_no_file(
     assert (again.success, again.message) == (False, "No job is running.")
 
 
-def test_a_crash_is_told_in_words_and_the_node_lives_on(
+def test_a_crash_is_reported_in_words_and_the_node_lives_on(
     fitter: Fitter, running: Callable[[], tuple[str, int]], tmp_path: Path
 ) -> None:
     job, worker = running()

@@ -56,7 +56,7 @@ def test_the_range_falls_with_the_cells_of_a_gel_and_its_stiffness_with_the_modu
         assert found["stiffness_pa_per_m"] * found["range_m"] == pytest.approx(0.25 * modulus)
 
 
-def test_contact_of_a_foil_is_thin_beside_it() -> None:
+def test_contact_of_a_foil_is_thin_compared_with_it() -> None:
     for thickness in (1e-5, 5e-5):
         found = law({"between": ["sheet", "table"]}, thickness=thickness)
         assert found["range_m"] == pytest.approx(0.3 * thickness)

@@ -70,7 +70,7 @@ def test_a_sound_recording_is_accused_of_nothing(rig: Rig, recording: Recording,
 
 
 @pytest.mark.parametrize("make", [wrench_sign, flange, picture_flipped])
-def test_the_line_that_is_told_mends_the_rig(make, rig: Rig, recording: Recording, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_the_line_that_is_printed_mends_the_rig(make, rig: Rig, recording: Recording, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     wrong = make(rig, recording, np.random.default_rng(3)).recording
     _, comparison, _ = judged(rig, wrong, tmp_path)
     assert comparison is not None and comparison.named
@@ -169,22 +169,24 @@ def test_one_act_is_more_common_than_two() -> None:
     assert {"[-y, x, z]", "[x, -y, z]", "[y, x, z]", "[-x, -y, -z]"} <= set(common)
 
 
-def test_poses_of_all_hands_may_be_told_in_another_base() -> None:
+def test_poses_of_all_hands_may_be_given_in_another_base() -> None:
     rig = load_rig("proof_bench")
     turn, offset = Rotation.from_euler("z", 90.0, degrees=True), np.array([0.1, -0.3, 0.2])
-    true, told = {}, {}
+    true, recorded = {}, {}
     for name, effector in rig.end_effectors.items():
         t = np.linspace(0.0, 1.0, 11)
         position = effector.start.position() + np.outer(np.maximum(t - 0.5, 0.0), [0.0, 0.004, -0.002])
         quaternion = np.tile(effector.start.rotation().as_quat(), (11, 1))
         true[name] = PoseTrajectory.from_samples(t, position, quaternion)
         turned = (turn * Rotation.from_quat(quaternion)).as_quat()
-        told[name] = PoseTrajectory.from_samples(t, turn.apply(position) + offset, turned)
-    assert not begins_elsewhere(rig, true) and begins_elsewhere(rig, told)
-    found = [m for m in pose_mistakes(rig, told, 0.003)[: SETUP_CHECK.most_rollouts] if m.kind == "base for base_link"]
+        recorded[name] = PoseTrajectory.from_samples(t, turn.apply(position) + offset, turned)
+    assert not begins_elsewhere(rig, true) and begins_elsewhere(rig, recorded)
+    found = [
+        m for m in pose_mistakes(rig, recorded, 0.003)[: SETUP_CHECK.most_rollouts] if m.kind == "base for base_link"
+    ]
     (best,) = [m for m in found if m.line.count("topics.base") == 2]
     assert best.poses is not None
-    mended = best.poses(told)
+    mended = best.poses(recorded)
     for name, right in true.items():
         np.testing.assert_allclose(mended[name].positions, right.positions, atol=1e-9)
         off = (Rotation.from_quat(mended[name].quaternions).inv() * Rotation.from_quat(right.quaternions)).magnitude()

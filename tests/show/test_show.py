@@ -234,13 +234,13 @@ def test_the_command_says_what_looks_wrong_and_where_the_files_are(
     blind = camera.model_copy(update={"pose": camera.pose.model_copy(update={"rpy_deg": (0.0, 0.0, 0.0)})})
     (tmp_path / "blind.yaml").write_text(rig_to_yaml(rig.model_copy(update={"cameras": {"inside": blind}})))
     assert main(["show", "blind.yaml"]) == 0
-    told = capsys.readouterr()
-    assert "warning: The camera inside sees none of its 49 markers" in told.err
-    assert told.out.split() == ["show_gel_sensor/picture.png", "show_gel_sensor/view.html"]
+    output = capsys.readouterr()
+    assert "warning: The camera inside sees none of its 49 markers" in output.err
+    assert output.out.split() == ["show_gel_sensor/picture.png", "show_gel_sensor/view.html"]
     assert "sees none of its 49 markers" in (tmp_path / "show_gel_sensor" / "view.html").read_text()
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "message"), [
     (["show", "gel_sensor", "--by", "presure"], "Did you mean 'pressure'?"),
     (["show", "gel_sensor", "--animation", "avi"], "--animation is 'avi'"),
     (["show", "gel_sensor", "none.npz"], "none.npz does not exist"),
@@ -248,15 +248,15 @@ def test_the_command_says_what_looks_wrong_and_where_the_files_are(
     (["effects", "air_drg"], "Did you mean 'air_drag'?"),
 ])  # fmt: skip
 def test_a_slip_of_the_pen_is_answered(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_effects_are_listed_and_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+def test_effects_are_listed_and_described_in_full(capsys: pytest.CaptureFixture[str]) -> None:
     from sim_core.effects import all_effects
 
     assert main(["effects"]) == 0

@@ -46,9 +46,9 @@ def test_pictures_come_when_they_are_due_to_a_hundredth_of_a_second() -> None:
 
 
 def test_a_gif_plays_at_the_true_speed_in_its_true_colours(lowered: Subject, tmp_path: Path) -> None:
-    told: list[float] = []
-    animate(lowered, None, tmp_path / "a.gif", lambda share, text: told.append(share))
-    assert told[-1] == 1.0
+    reported: list[float] = []
+    animate(lowered, None, tmp_path / "a.gif", lambda share, text: reported.append(share))
+    assert reported[-1] == 1.0
     board = Board(lowered, None, small=True)
     with Image.open(tmp_path / "a.gif") as moving:
         assert moving.n_frames == 7  # type: ignore[attr-defined]

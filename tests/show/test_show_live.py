@@ -216,22 +216,22 @@ def test_a_viewer_is_reached_from_its_own_machine_alone(viewer: Viewer) -> None:
         other.connect(("127.0.0.2", port))
 
 
-def test_a_port_in_use_is_told_before_anything_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_refused_before_anything_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser", reason="viser, of the extra 'live', is not installed.")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["show", "gel_sensor", "press_twist", "--live", "--port", str(port)]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err == (
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err == (
         f"thinshell: The viewer cannot be served at localhost:{port}: Address already in use. "
         "Name another port with --port.\n"
     )
 
 
-def test_a_missing_extra_is_told_with_what_installs_it(
+def test_a_missing_extra_is_reported_with_what_installs_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
@@ -241,16 +241,16 @@ def test_a_missing_extra_is_told_with_what_installs_it(
     )
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "message"), [
     (["--live", "--out", "there"], "--live writes no files"),
     (["--port", "8081"], "Add --live"),
     (["--live", "--by", "presure"], "Did you mean 'pressure'?"),
 ])  # fmt: skip
 def test_options_that_do_not_go_together_are_refused(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["show", "gel_sensor", *words]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_the_command_prints_the_address_and_ends_with_an_interrupt() -> None:
@@ -269,9 +269,9 @@ def test_the_command_prints_the_address_and_ends_with_an_interrupt() -> None:
         with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
             assert page.status == 200
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=PATIENCE_S)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    assert "Traceback" not in told
+    assert "Traceback" not in errors
 
 
 RED = (150, 90, 90)

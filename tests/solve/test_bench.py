@@ -60,7 +60,7 @@ def test_the_exponent_is_that_of_the_times():
     assert growth([size(1728), size(5043), size(59643)]) == pytest.approx(1.5)
 
 
-def test_published_figures_stand_beside_ours_with_the_ratio():
+def test_published_figures_stand_next_to_ours_with_the_ratio():
     found = Scaling((size(1728), size(2475, DIFFCLOTH)), 1.5)
     lines = scaling_lines(found)
     assert "unknowns^1.50" in lines[0]

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from sim_core.simulate import Trace
-from sysid.discretisation.refinement import fit_beside_discretisation
+from sysid.discretisation.refinement import fit_with_discretisation_error
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction
@@ -89,6 +89,6 @@ def measured(rng: np.random.Generator, share: float = 0.5) -> np.ndarray:
 
 
 def fit(engine: Linear, run: Run, parameters: Sequence[FitParameter] = PARAMETERS, **settings: Any) -> Any:
-    return fit_beside_discretisation(
+    return fit_with_discretisation_error(
         cast(ParallelPredictor, engine), [run], NOISE, cast(Any, Vector(np.zeros(2))), parameters, **settings
     )

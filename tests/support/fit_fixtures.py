@@ -34,7 +34,7 @@ def vectors(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def declared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The noise of all channels is told, and nothing of the machine is in results."""
+    """The noise of all channels is known, and nothing of the machine is in results."""
     noise = ChannelNoise(np.array([0.01]), 0.0, "test")
     monkeypatch.setattr(
         fit,

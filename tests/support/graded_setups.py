@@ -11,8 +11,8 @@ prints a line for each mistake, and a table of kinds by outcomes:
 - ``other``: something else is named; ``silent``: nothing is;
 - ``no effect``: readings and predictions are changed by less than their noise, whatever the check says.
 
-Whether a mistake has an effect is told from the sound recording and the truth, without the check: readings by what they
-differ, poses by a rollout along the wrong ones and one along the right ones.
+Whether a mistake has an effect is computed from the sound recording and the truth, without the check: readings by what
+they differ, poses by a rollout along the wrong ones and one along the right ones.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mistaken_setups import Made, makers
+from mistaken_setups import MistakenRecording, makers
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, load_rig
@@ -40,7 +40,7 @@ from sysid.observations.rig_topics import topics_of
 from sysid.recording import Recording, read_recording
 from sysid.recording.bag import open_bag
 from sysid.recording.notes import Notes
-from sysid.setup_check.check import notes_of, told
+from sysid.setup_check.check import likeliest_of_each_kind, notes_of
 from sysid.setup_check.compare import Comparison, compare
 from sysid.setup_check.probe import Probe, Rollouts, averaged
 from sysid.simulate import simulate_to_bag
@@ -87,7 +87,7 @@ class Graded:
     :data:`INSTANTS`, of the quantity that it changes most; ``said``: in one sentence."""
 
     rig: str
-    made: Made
+    made: MistakenRecording
     outcome: str
     effect: float
     said: str
@@ -130,7 +130,7 @@ def judged(rig: Rig, recording: Recording, path: Path) -> tuple[tuple[Finding, .
         return findings, None, None
 
 
-def graded(setup: Setup, made: Made) -> Graded:
+def graded(setup: Setup, made: MistakenRecording) -> Graded:
     """What the check says of a mistake."""
 
     def grade(outcome: str, said: str = "", effect: float = np.inf) -> Graded:
@@ -144,13 +144,13 @@ def graded(setup: Setup, made: Made) -> Graded:
     if comparison is None or run is None:
         return grade("refused")
     named = comparison.named
-    sentence = "; or ".join(t.mistake.words for t in told(named))
+    sentence = "; or ".join(t.mistake.words for t in likeliest_of_each_kind(named))
     if named and named[0].mistake.kind in made.names:
         return grade("first", sentence)
     effect = effect_of(setup, run)
     if effect**2 < CHANCE:
         return grade("no effect", sentence, effect)
-    if any(t.mistake.kind in made.names for t in told(named)):
+    if any(t.mistake.kind in made.names for t in likeliest_of_each_kind(named)):
         return grade("equal", sentence, effect)
     if named or stopped:
         return grade("other", sentence or stopped[0].problem, effect)

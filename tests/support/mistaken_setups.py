@@ -14,7 +14,7 @@ from sysid.recording import Recording
 
 
 @dataclass(frozen=True)
-class Made:
+class MistakenRecording:
     """A mistake that was made: its kind, what findings name it, and the recording."""
 
     kind: str
@@ -23,7 +23,7 @@ class Made:
     recording: Recording
 
 
-Make = Callable[[Rig, Recording, np.random.Generator], Made]
+Make = Callable[[Rig, Recording, np.random.Generator], MistakenRecording]
 
 
 def _channel(draw: np.random.Generator, group: dict) -> str:
@@ -38,57 +38,57 @@ def _with_wrench(recording: Recording, name: str, force: np.ndarray, torque: np.
     )
 
 
-def wrench_sign(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def wrench_sign(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.wrenches)
     which = draw.choice(["both", "force"])
     torque = -np.eye(3) if which == "both" else np.eye(3)
-    return Made("wrench sign", which, ("wrench reversed", "force reversed"),
+    return MistakenRecording("wrench sign", which, ("wrench reversed", "force reversed"),
                 _with_wrench(recording, name, -np.eye(3), torque))  # fmt: skip
 
 
-def wrench_quarter_turn(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def wrench_quarter_turn(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name, axis, angle = _channel(draw, recording.wrenches), str(draw.choice(list("xyz"))), draw.choice([90, -90, 180])
     turn = np.rint(Rotation.from_euler(axis, angle, degrees=True).as_matrix())
-    return Made(
+    return MistakenRecording(
         "wrench axes turned", f"{axis} {angle}", ("wrench axes turned",), _with_wrench(recording, name, turn, turn)
     )
 
 
-def wrench_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def wrench_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.wrenches)
     flip = np.diag(np.where(np.arange(3) == draw.integers(3), -1.0, 1.0))
-    return Made("wrench left-handed", str(np.diag(flip)), ("wrench axes left-handed",),
+    return MistakenRecording("wrench left-handed", str(np.diag(flip)), ("wrench axes left-handed",),
                 _with_wrench(recording, name, flip, flip))  # fmt: skip
 
 
-def wrench_axes_swapped(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def wrench_axes_swapped(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.wrenches)
     a, b = draw.choice(3, 2, replace=False)
     order = np.arange(3)
     order[[a, b]] = order[[b, a]]
-    return Made("wrench axes swapped", str(order), ("wrench axes left-handed",),
+    return MistakenRecording("wrench axes swapped", str(order), ("wrench axes left-handed",),
                 _with_wrench(recording, name, np.eye(3)[order], np.eye(3)[order]))  # fmt: skip
 
 
-def wrench_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def wrench_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name, axis, angle = _channel(draw, recording.wrenches), str(draw.choice(list("xyz"))), draw.choice([30, -30])
     turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
-    return Made(
+    return MistakenRecording(
         "wrench 30 degrees", f"{axis} {angle}", ("wrench mount turned",), _with_wrench(recording, name, turn, turn)
     )
 
 
-def force_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def force_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.wrenches)
     unit = str(draw.choice(["mN", "gf", "kgf"]))
     factor = {"mN": 1e3, "gf": 1e3 / 9.80665, "kgf": 1.0 / 9.80665}[unit] * np.eye(3)
-    return Made("force unit", unit, ("force unit", "force_unit", "force_size", "force_noise"),
+    return MistakenRecording("force unit", unit, ("force unit", "force_unit", "force_size", "force_noise"),
                 _with_wrench(recording, name, factor, factor))  # fmt: skip
 
 
-def torque_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def torque_unit(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.wrenches)
-    return Made("torque unit", "N mm", ("torque unit", "torque_unit"),
+    return MistakenRecording("torque unit", "N mm", ("torque unit", "torque_unit"),
                 _with_wrench(recording, name, np.eye(3), 1e3 * np.eye(3)))  # fmt: skip
 
 
@@ -97,27 +97,27 @@ def _with_markers(recording: Recording, name: str, change: Callable[[np.ndarray]
     return replace(recording, markers={**recording.markers, name: replace(m, position=change(m.position))})
 
 
-def marker_axes(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def marker_axes(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.markers)
     if draw.random() < 0.5:
         flip = np.diag(np.where(np.arange(3) == draw.integers(3), -1.0, 1.0))
         names = ("marker axes left-handed", "turned", "mirrored", "marker_order")
-        return Made("marker axes", str(np.diag(flip)), names,
+        return MistakenRecording("marker axes", str(np.diag(flip)), names,
                     _with_markers(recording, name, lambda p: p @ flip.T))  # fmt: skip
     axis, angle = str(draw.choice(list("xyz"))), draw.choice([90, 180, 30])
     turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
-    return Made("marker axes", f"{axis} {angle}",
+    return MistakenRecording("marker axes", f"{axis} {angle}",
                 ("marker axes turned", "marker mount turned", "turned", "marker_order"),
                 _with_markers(recording, name, lambda p: p @ turn.T))  # fmt: skip
 
 
-def marker_displacements(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def marker_displacements(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.markers)
-    return Made("displacements", "x for dx", ("displacements for positions", "marker_scale"),
+    return MistakenRecording("displacements", "x for dx", ("displacements for positions", "marker_scale"),
                 _with_markers(recording, name, lambda p: p - p[:1]))  # fmt: skip
 
 
-def picture_flipped(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def picture_flipped(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.tracks)
     camera, tracks = rig.cameras[name], recording.tracks[name]
     how = str(draw.choice(["u", "v", "both", "transposed"]))
@@ -128,17 +128,18 @@ def picture_flipped(rig: Rig, recording: Recording, draw: np.random.Generator) -
         uv[..., 1] = camera.height_px - 1 - uv[..., 1]
     if how == "transposed":
         uv = uv[..., ::-1]
-    return Made("picture flipped", how, ("picture mirrored", "picture turned", "mirrored", "turned", "marker_order"),
+    return MistakenRecording("picture flipped", how,
+                ("picture mirrored", "picture turned", "mirrored", "turned", "marker_order"),
                 replace(recording, tracks={**recording.tracks, name: replace(tracks, uv=uv)}))  # fmt: skip
 
 
-def camera_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def camera_mount(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.tracks)
     camera, tracks = rig.cameras[name], recording.tracks[name]
     angle = np.radians(draw.choice([30, -30]))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     middle = np.array([camera.cx_px, camera.cy_px])
-    return Made("camera 30 degrees", f"{np.degrees(angle):.0f}", ("camera turned", "turned"), replace(
+    return MistakenRecording("camera 30 degrees", f"{np.degrees(angle):.0f}", ("camera turned", "turned"), replace(
         recording, tracks={**recording.tracks, name: replace(tracks, uv=(tracks.uv - middle) @ turn.T + middle)}
     ))  # fmt: skip
 
@@ -156,55 +157,56 @@ def _with_poses(
     return replace(recording, **changed)
 
 
-def flange(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def flange(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.poses)
     offset = draw.uniform(0.03, 0.25) * np.eye(3)[draw.choice(3, p=[0.15, 0.15, 0.7])] * draw.choice([-1, 1])
     turn = Rotation.from_euler("z", draw.choice([0, 0, 45, -45]), degrees=True)
-    return Made("flange for tool", f"{np.round(offset, 3)} {turn.magnitude():.2f}", ("flange for tool", "tool turned"),
+    return MistakenRecording("flange for tool", f"{np.round(offset, 3)} {turn.magnitude():.2f}",
+                ("flange for tool", "tool turned"),
                 _with_poses(recording, name, lambda p, r: (p + r.apply(offset), r * turn)))  # fmt: skip
 
 
-def tool_turned(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def tool_turned(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name, axis, angle = _channel(draw, recording.poses), str(draw.choice(list("xyz"))), draw.choice([30, -30, 90, 180])
     turn = Rotation.from_euler(axis, angle, degrees=True)
-    return Made("tool turned", f"{axis} {angle}", ("tool turned", "flange for tool", "quaternion_order"),
+    return MistakenRecording("tool turned", f"{axis} {angle}", ("tool turned", "flange for tool", "quaternion_order"),
                 _with_poses(recording, name, lambda p, r: (p, r * turn)))  # fmt: skip
 
 
-def other_base(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def other_base(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.poses)
     offset = draw.uniform(-0.5, 0.5, 3)
     turn = Rotation.from_euler("z", draw.choice([0, 90, -90, 180, 30]), degrees=True)
-    return Made("base for base_link", f"{np.round(offset, 2)} {turn.magnitude():.2f}",
+    return MistakenRecording("base for base_link", f"{np.round(offset, 2)} {turn.magnitude():.2f}",
                 ("base for base_link", "base axes turned"),
                 _with_poses(recording, name, lambda p, r: (turn.apply(p) + offset, turn * r)))  # fmt: skip
 
 
-def base_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def base_left_handed(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.poses)
     flip = np.where(np.arange(3) == draw.integers(3), -1.0, 1.0)
-    return Made("base left-handed", str(flip), ("base axes left-handed",),
+    return MistakenRecording("base left-handed", str(flip), ("base axes left-handed",),
                 _with_poses(recording, name, lambda p, r: (p * flip, r)))  # fmt: skip
 
 
-def pose_millimetres(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def pose_millimetres(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     name = _channel(draw, recording.poses)
-    return Made("pose unit", "mm", ("length_unit", "pose unit"),
+    return MistakenRecording("pose unit", "mm", ("length_unit", "pose unit"),
                 _with_poses(recording, name, lambda p, r: (1e3 * p, r)))  # fmt: skip
 
 
-def fingers(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def fingers(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     one, other = draw.choice(sorted(recording.poses), 2, replace=False)
     poses = dict(recording.poses)
     poses[one], poses[other] = poses[other], poses[one]
-    return Made("fingers swapped", f"{one} {other}", ("fingers swapped",), replace(recording, poses=poses))
+    return MistakenRecording("fingers swapped", f"{one} {other}", ("fingers swapped",), replace(recording, poses=poses))
 
 
-def milliseconds(rig: Rig, recording: Recording, draw: np.random.Generator) -> Made:
+def milliseconds(rig: Rig, recording: Recording, draw: np.random.Generator) -> MistakenRecording:
     def slow(group: dict) -> dict:
         return {name: replace(stream, t=1e3 * stream.t, arrival=None) for name, stream in group.items()}
 
-    return Made("time unit", "ms", ("time_unit", "rate"), replace(
+    return MistakenRecording("time unit", "ms", ("time_unit", "rate"), replace(
         recording, poses=slow(recording.poses), target_poses=slow(recording.target_poses),
         wrenches=slow(recording.wrenches), markers=slow(recording.markers), tracks=slow(recording.tracks),
     ))  # fmt: skip

@@ -36,8 +36,8 @@ MOTION = [
 REST = [{"type": "wait", "duration_s": 0.8}]
 
 
-def record(rig: Rig, untold: dict[str, float], bias: np.ndarray, out: Path, motion: Any = MOTION) -> Run:
-    true = with_parameters(rig, {**TRUTH, **untold})
+def record(rig: Rig, hidden: dict[str, float], bias: np.ndarray, out: Path, motion: Any = MOTION) -> Run:
+    true = with_parameters(rig, {**TRUTH, **hidden})
     white = WhiteNoise(true, 4)
 
     def noise(channel: str, kind: str, stamps: np.ndarray, clean: np.ndarray) -> np.ndarray:

@@ -103,7 +103,7 @@ def inches(p: Press) -> None:
 
 
 def inverted(p: Press) -> None:
-    """Of a hand that starts turned by 90 degrees; the rig is told so (:data:`TURNED`)."""
+    """Of a hand that starts turned by 90 degrees; the rig says so (:data:`TURNED`)."""
     p.pose.quaternion[:] = Rotation.from_euler("z", -90.0, degrees=True).as_quat()
 
 
@@ -272,7 +272,7 @@ def wrench_in_steps(p: Press) -> None:
 
 
 def places_at_rest(p: Press) -> None:
-    """x, y, z as at rest, and the displacements beside them."""
+    """x, y, z as at rest, and the displacements in addition."""
     p.markers.places, p.markers.rest = (
         np.broadcast_to(p.markers.rest, p.markers.places.shape).copy(),
         2.0 * p.markers.rest - p.markers.places,

@@ -31,7 +31,7 @@ FURTHER = (
     ("card_press", "press_hold_release"),
     ("card_press", "slide"),
 )
-"""Rigs and experiments beside those in which mistakes are made."""
+"""Rigs and experiments other than those in which mistakes are made."""
 
 
 def simulated(folder: Path, seed: int) -> Iterator[tuple[str, Path]]:

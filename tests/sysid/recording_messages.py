@@ -1,4 +1,4 @@
-"""Messages and small recordings, sound ones unless told otherwise, for the tests of what is read from bags."""
+"""Messages and small recordings, sound ones by default, for the tests of what is read from bags."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -21,14 +21,14 @@ from sysid.recording.notes import Notes
 TRUE = np.array([0.5, -0.2, 3.0, 0.01, 0.02, -0.03])
 ZERO = np.array([0.4, 0.1, 2.5, 0.0, 0.015, -0.02])
 
-Told = tuple[str, float, dict[str, str]]
+Event = tuple[str, float, dict[str, str]]
 
 
-def tare(t: float, zero: np.ndarray = ZERO) -> Told:
+def tare(t: float, zero: np.ndarray = ZERO) -> Event:
     return "tare", t, {"/tactile/left/wrench": " ".join(map(str, zero))}
 
 
-def recorded(path: Path, events: Sequence[Told], seconds: float = 4.0, moves: bool = True) -> Path:
+def recorded(path: Path, events: Sequence[Event], seconds: float = 4.0, moves: bool = True) -> Path:
     """A press of the rig card_press whose readings are less what its events take off."""
     types = TYPESTORE.types
     offsets: list[tuple[float, np.ndarray]] = []
@@ -66,7 +66,7 @@ def read(path: Path) -> Recording:
 
 
 @pytest.mark.parametrize("events", [[("reset", -0.5, {}), tare(2.0)], [tare(-0.5), tare(2.0, 3.0 * ZERO), tare(3.0)]])
-def test_readings_after_a_tare_have_the_zero_of_those_before(events: list[Told], tmp_path: Path) -> None:
+def test_readings_after_a_tare_have_the_zero_of_those_before(events: list[Event], tmp_path: Path) -> None:
     found = read(recorded(tmp_path / "tared", events))
     before = np.zeros(6) if events[0][0] == "reset" else ZERO
     expected = 20 * TRUE - before
@@ -80,8 +80,8 @@ def test_readings_after_a_tare_have_the_zero_of_those_before(events: list[Told],
 def test_a_tare_after_one_that_is_not_known_is_said(tmp_path: Path) -> None:
     found = read(recorded(tmp_path / "tared", [tare(2.0)]))
     assert np.allclose(forces(found)[-1], 20 * TRUE - ZERO, atol=0.01)
-    (told,) = [f for f in examine(found)[0] if f.name == "tare"]
-    assert told.severity == "warning" and "at 2.000 s" in told.problem and "BAG@0:2.000" in told.remedy
+    (finding,) = [f for f in examine(found)[0] if f.name == "tare"]
+    assert finding.severity == "warning" and "at 2.000 s" in finding.problem and "BAG@0:2.000" in finding.remedy
 
 
 def test_a_tare_that_is_no_six_numbers_is_left_out_aloud(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_tare_that_is_no_six_numbers_is_left_out_aloud(tmp_path: Path) -> None
     assert any("tare of /tactile/left/wrench that is not six numbers" in note.text for note in found.notes)
 
 
-def test_a_reset_in_the_middle_stops_a_fit_but_not_one_of_a_window_beside_it(tmp_path: Path) -> None:
+def test_a_reset_in_the_middle_stops_a_fit_but_not_one_of_a_window_next_to_it(tmp_path: Path) -> None:
     rig = load_rig("card_press")
     bag = recorded(tmp_path / "reset", [("reset", -0.5, {}), ("reset", 2.0, {})])
     with pytest.raises(RecordingError, match=r"put back to its start at 2\.000 s.*BAG@0:2\.00 and BAG@2\.30:3\.99"):
@@ -123,5 +123,7 @@ def test_time_that_stamps_leave_out_is_a_warning_where_things_move_by_themselves
     still = rig.model_copy(update={"solver": rig.solver.model_copy(update={"inertia": False})})
     for one, severity in ((rig, "warning"), (still, "note")):
         names, _ = topics_of(one, open_bag(bag, Notes()).topics)
-        (told,) = [f for f in examine(read_recording(bag, names, need_pose=False), one)[0] if f.name == "time_left_out"]
-        assert told.severity == severity and told.values == (1.5,) and "1.5 s" in told.problem
+        (finding,) = [
+            f for f in examine(read_recording(bag, names, need_pose=False), one)[0] if f.name == "time_left_out"
+        ]
+        assert finding.severity == severity and finding.values == (1.5,) and "1.5 s" in finding.problem

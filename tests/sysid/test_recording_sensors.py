@@ -110,7 +110,7 @@ def test_missing_rows_nan_and_doubled_ids(tmp_path: Path) -> None:
 def test_no_ids(tmp_path: Path) -> None:
     recording = read(tmp_path, poses(6) + markers(lambda k: XYZ))
     np.testing.assert_array_equal(recording.markers["sensor"].ids, [0, 1, 2])
-    assert "markers are told apart by their row" in notes(recording)
+    assert "markers are identified by their row" in notes(recording)
 
 
 def test_no_ids_and_a_varying_number_of_rows(tmp_path: Path) -> None:

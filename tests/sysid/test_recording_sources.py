@@ -146,7 +146,7 @@ def test_a_second_parent_on_the_chain_that_leads_nowhere_is_said(tmp_path: Path)
     names = TopicNames(ee={"ee": EETopics(tf=("base", "tool"))})
     recording = read(tmp_path, [*arm(), also(1, transform(START, "mocap", "tool", (9, 9, 9))), *wrenches(30)], names)
     np.testing.assert_allclose(recording.poses["ee"].position[0], [0.2, 0.0, 0.3], atol=1e-9)
-    assert "'tool' has the parent 'mocap' beside 'link': the chain base - link - tool is used" in notes(recording)
+    assert "'tool' has the parent 'mocap' and also 'link': the chain base - link - tool is used" in notes(recording)
 
 
 def test_two_chains_are_refused_by_their_names(tmp_path: Path) -> None:

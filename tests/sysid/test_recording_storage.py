@@ -269,7 +269,7 @@ def test_a_database_that_is_no_recording(tmp_path: Path) -> None:
 def test_messages_left_in_a_database_journal_are_said(bag: Path, tmp_path: Path) -> None:
     made = rewrite(bag, tmp_path / "made", StoragePlugin.SQLITE3, CompressionMode.NONE)
     (made / "made.db3-wal").write_bytes(b"x" * 100)
-    assert "made.db3-wal beside it holds messages" in notes(read_recording(made))
+    assert "made.db3-wal next to it holds messages" in notes(read_recording(made))
 
 
 def test_an_old_database_without_quality_of_service(bag: Path, tmp_path: Path) -> None:

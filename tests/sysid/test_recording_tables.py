@@ -109,7 +109,7 @@ def test_names_of_columns_are_mapped(tmp_path: Path) -> None:
         read(tmp_path, MACHINE)
 
 
-def test_names_that_are_known_need_no_mapping_beside_others(tmp_path: Path) -> None:
+def test_names_that_are_known_need_no_mapping_next_to_others(tmp_path: Path) -> None:
     text = MACHINE.replace("Zeit", "time [s]")
     recording = read(tmp_path, text, TopicNames(columns={name: MEANT[name] for name in ("Kraft", "Weg (mm)")}))
     assert_plain(recording)

@@ -182,7 +182,7 @@ def test_the_command_finds_the_sense_and_holds_out(tmp_path: Path, rig: Rig) -> 
         prepare(load_rig("forming").model_copy(update={"cameras": {}}), bag, tmp_path / "none", 2.0, 4, 2)
 
 
-def test_a_recording_without_tracks_is_told_to_be_tracked(tmp_path: Path) -> None:
+def test_a_recording_without_tracks_has_to_be_tracked(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "bag") as bag:
         for k in range(1, 4):
             bag.pose("target_pose", k * 1_000_000_000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), "plate")

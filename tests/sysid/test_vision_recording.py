@@ -143,7 +143,7 @@ def test_an_overlay_shows_arrows_lost_markers_and_numbers() -> None:
         ("/image", "/marker_tracks"),
     ],
 )
-def test_tracks_stand_beside_their_images(topic: str, expected: str) -> None:
+def test_tracks_stand_next_to_their_images(topic: str, expected: str) -> None:
     assert tracks_topic(topic) == expected
 
 

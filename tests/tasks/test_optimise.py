@@ -1,4 +1,4 @@
-"""Methods of optimisation on problems with known answers; budgets, logs, interruption."""
+"""Methods of optimisation on problems with known solutions; budgets, logs, interruption."""
 
 from __future__ import annotations
 

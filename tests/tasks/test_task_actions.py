@@ -95,7 +95,7 @@ def test_motions_out_and_back_end_where_they_began(name: str) -> None:
         assert len({tuple(a) for a in axes if len(a)}) == 1
 
 
-def test_an_action_of_another_length_is_told(tmp_path: Path) -> None:
+def test_an_action_of_another_length_is_refused(tmp_path: Path) -> None:
     space = ActionSpace(small_task(tmp_path))
     with pytest.raises(ConfigError, match=r"has 12 finite numbers, not an array of shape \(3,\)"):
         space.poses(np.zeros(3))

@@ -104,13 +104,13 @@ def test_a_torque_or_a_force_above_that_of_a_hand_ends_the_rollout(tmp_path: Pat
 
 
 def test_conditions_name_what_the_rig_has(tmp_path: Path) -> None:
-    for more, told in (
+    for more, message in (
         ("conditions: {rests_on: {crad: gel}}", "crad.*card"),
         ("conditions: {apart: [[card, card]]}", "no contact"),
         ("stop: {over: {sheet: card}}", "no rigid body"),
         ("afterwards: {retreat_s: 0.1}", "retreat_m"),
     ):
-        with pytest.raises(ConfigError, match=rf"(?s){told}"):
+        with pytest.raises(ConfigError, match=rf"(?s){message}"):
             small_task(tmp_path, text=TASK + more + "\n")
 
 

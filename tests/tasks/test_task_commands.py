@@ -55,7 +55,7 @@ def test_seeds_begin_elsewhere_and_a_table_says_what_was_not_run(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["optimise", "liftin"], "Did you mean 'lifting'?"),
         (["optimise", "lifting", "--method", "hybird"], "There is no method 'hybird'. Did you mean 'hybrid'?"),
@@ -64,11 +64,11 @@ def test_seeds_begin_elsewhere_and_a_table_says_what_was_not_run(
         (["optimise", "lifting", "--posterior", "none.json"], "none.json is no result of a fit"),
     ],
 )
-def test_what_cannot_be_used_is_told_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+def test_what_cannot_be_used_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert main([*arguments, "--out", str(tmp_path / "run")]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

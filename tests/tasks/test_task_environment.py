@@ -99,7 +99,7 @@ def test_too_much_force_ends_an_episode(tmp_path: Path) -> None:
         env.step(down)
 
 
-def test_mistakes_are_told(tmp_path: Path) -> None:
+def test_mistakes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"every is 9, but the hands of small act in 8 steps.*1 to 8"):
         small_task(tmp_path)
         TaskEnv(str(tmp_path / "small.yaml"), every=9)

@@ -1,4 +1,4 @@
-"""Task files: those of the package load, and mistakes in others are told with key and remedy."""
+"""Task files: those of the package load, and mistakes in others are reported with key and remedy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_tasks_of_the_package_load(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("fingers: [finger]", "fingers: [fingr]", r"fingers names 'fingr', which is no end effector.*Did you mean"),
         ("body: card, grid: [4, 2]", "body: gel, grid: [4, 2]", r"points.sheet.body names 'gel'.*no sheet"),
@@ -38,9 +38,9 @@ def test_tasks_of_the_package_load(name: str) -> None:
         ("approach:\n  finger", "approach:\n  thumb", r"approach names 'thumb'"),
     ],
 )
-def test_mistakes_are_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_mistakes_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in TASK
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         small_task(tmp_path, text=TASK.replace(old, new))
 
 
@@ -56,6 +56,6 @@ def test_folds_need_something_that_yields(tmp_path: Path) -> None:
         load_task(str(path))
 
 
-def test_a_variant_that_there_is_not_is_told() -> None:
+def test_a_variant_that_there_is_not_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"'lifting' has no variant 'papr'.*'paper'"):
         load_task("lifting:papr")

@@ -76,7 +76,7 @@ def test_the_trace_begins_where_rollouts_do(lifting: TaskRollouts) -> None:
     assert abs(forces[0]) > 0.01 and forces[1] == pytest.approx(forces[0], rel=0.02)
 
 
-def test_what_falls_is_told(tmp_path: Path) -> None:
+def test_what_falls_is_reported(tmp_path: Path) -> None:
     made = load_task("separating")
     bodies = {**made.rig.bodies}
     del bodies["table"]

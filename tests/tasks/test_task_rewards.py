@@ -116,7 +116,7 @@ def test_shares_of_triangles_within_a_band_are_areas() -> None:
     np.testing.assert_allclose(share_within(x, -0.3, 0.25), counted, atol=0.01)
 
 
-def test_a_reward_that_there_is_not_is_told() -> None:
+def test_a_reward_that_there_is_not_is_refused() -> None:
     from sim_core.errors import ConfigError
 
     with pytest.raises(ConfigError, match=r"no reward 'foldin'.*Did you mean 'folding'"):

@@ -39,7 +39,7 @@ def test_a_rollout_does_not_depend_on_those_before(tmp_path: Path) -> None:
     assert rollouts.gradient(one).reward == pytest.approx(first, rel=1e-6)
 
 
-def test_a_robot_that_does_not_do_as_told_does_so_in_each_kind_of_rollout(tmp_path: Path) -> None:
+def test_a_robot_that_does_not_obey_does_so_in_each_kind_of_rollout(tmp_path: Path) -> None:
     """What acts on commands counts with the gradient and without it, as where a trajectory is rolled out."""
     rewards = {}
     for share in (0.0, -0.2):
@@ -56,7 +56,7 @@ def test_a_robot_that_does_not_do_as_told_does_so_in_each_kind_of_rollout(tmp_pa
 
 
 def test_the_target_may_be_made_on_another_rig(tmp_path: Path) -> None:
-    """So the goal stays where it was while the rig is amended; rigs are found beside the file of the task."""
+    """So the goal stays where it was while the rig is amended; rigs are found next to the file of the task."""
     given = TaskRollouts(small_task(tmp_path, "forming"))
     softer = RIG.replace("E_pa: 2.0e9", "E_pa: 1.6e9")
     (tmp_path / "softer.yaml").write_text(softer)
@@ -96,7 +96,7 @@ def test_a_fold_angle_is_the_turn_of_a_strip_that_kept_it(tmp_path: Path) -> Non
     action[:, 2] = -1.0
     seen, reward = rollouts.seen(action.ravel())
     assert seen.folds["middle"] < -0.01
-    # Beside it a hundredth of the whole angle between the chords before and after the middle, negative too.
+    # Of it a hundredth of the whole angle between the chords before and after the middle, negative too.
     chords = np.diff([seen.points[name][-1].mean(axis=0) for name in ("before", "middle", "after")], axis=0)
     slopes = np.arctan2(chords[:, 2], chords[:, 0])
     assert slopes[1] < slopes[0]

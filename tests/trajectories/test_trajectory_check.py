@@ -84,13 +84,13 @@ def test_a_sudden_acceleration_from_rest_or_to_rest_is_a_jerk(backwards: bool) -
 
 def test_a_hand_of_its_own_is_limited_by_its_own_and_by_the_rig() -> None:
     """The stricter of the limits of the trajectory, of the end effector in it, and of the rig's hand."""
-    told = motion().model_dump()
-    told["end_effectors"]["hand"]["limits"] = {"max_speed_m_s": 0.07}
-    (error,) = check_trajectory(validate(Trajectory, told, "made")).errors
+    edited = motion().model_dump()
+    edited["end_effectors"]["hand"]["limits"] = {"max_speed_m_s": 0.07}
+    (error,) = check_trajectory(validate(Trajectory, edited, "made")).errors
     assert "The speed of hand is 0.07499" in error and "at most 0.07 m/s" in error
     free = bounded(motion())
     assert free.limits_of("hand") == HandLimits().limits(), "of which nothing is said: those of a common lab arm"
-    own = bounded(validate(Trajectory, told, "made"))
+    own = bounded(validate(Trajectory, edited, "made"))
     assert own.limits_of("hand").max_speed_m_s == 0.07
     assert own.limits_of("hand").max_acceleration_m_s2 is None, "what is said is all that is meant"
 

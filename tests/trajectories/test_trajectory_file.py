@@ -1,4 +1,4 @@
-"""Trajectory files: what is written is read back, and what is no trajectory is told so."""
+"""Trajectory files: what is written is read back, and what is no trajectory is refused."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_the_example_of_the_documentation_is_a_trajectory_and_names_every_key() 
         ),
     ],
 )
-def test_what_does_not_fit_is_told_with_its_place(data: Any, said: str) -> None:
+def test_what_does_not_fit_is_refused_with_its_place(data: Any, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as caught:
         parse_trajectory(json.dumps(data), "t.json")
     assert str(caught.value).startswith("t.json")
@@ -212,14 +212,14 @@ def test_what_does_not_fit_is_told_with_its_place(data: Any, said: str) -> None:
         (b'{"format": NaN}', "holds NaN"),
     ],
 )
-def test_a_file_that_is_no_trajectory_is_told(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_is_no_trajectory_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "t.json"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=said):
         read_trajectory(path)
 
 
-def test_places_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
+def test_places_that_cannot_be_read_or_written_are_reported(tmp_path: Path) -> None:
     trajectory = parse_trajectory(json.dumps(LEAST), "t.json")
     with pytest.raises(ConfigError, match="does not exist"):
         read_trajectory(tmp_path / "none.json")

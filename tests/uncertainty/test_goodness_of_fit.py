@@ -1,4 +1,4 @@
-"""More than noise in one quantity is told, and offsets of end effectors are looked for elsewhere, only then."""
+"""More than noise in one quantity is reported, and offsets of end effectors are looked for elsewhere, only then."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_an_interruption_while_offsets_are_compared_keeps_the_best(
 
 
 def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, Fitted]:
-    """Readings that are so many standard deviations of the noise off, beside a model that reads nothing."""
+    """Readings that are so many standard deviations of the noise off, against a model that reads nothing."""
     rng = np.random.default_rng(5)
     values = rng.standard_normal((samples, 6)) * np.repeat([0.2, 0.01], 3)
     values *= np.repeat([forces, torques], 3)
@@ -126,55 +126,55 @@ def wrench(forces: float, torques: float, samples: int = 300) -> tuple[Problem, 
     )
 
 
-def beside_discretisation_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
+def with_discretisation_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
     """Readings that miss by so many times what one refinement shows, the same all the time."""
     shape = np.full((len(T), 1), OWN)
     data = times * shape + SIGMA * np.random.default_rng(3).standard_normal(shape.shape)
     run = Run("press", "press", (), {}, (Measured("gauge", "markers", T, data, ("u",)),), 1.0)
     noise = {"gauge": ChannelNoise(np.array([SIGMA]), 0.0, "test")}
-    beside = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},))])
+    problem = Problem([run], noise, cast(ParallelPredictor, None), [ErrorShape("mesh", ({"gauge": shape},))])
     given = [Prediction({"gauge": np.zeros_like(shape)}, {}, cast(Trace, None))]
-    return beside, beside.compare(given, rig, [], np.zeros(0))
+    return problem, problem.compare(given, rig, [], np.zeros(0))
 
 
 @pytest.mark.parametrize("times", [1.0, 1.9])
 def test_what_may_be_the_discretisation_error_is_not_spoken_of(small_rig: Any, times: float) -> None:
-    beside, fitted = beside_discretisation_error(times, small_rig())
-    assert worst(beside, fitted) < 1.0 and unexplained(beside, fitted) == []
-    assert not structure(beside, fitted).missing
+    problem, fitted = with_discretisation_error(times, small_rig())
+    assert worst(problem, fitted) < 1.0 and unexplained(problem, fitted) == []
+    assert not structure(problem, fitted).missing
 
 
 def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discretisation_error(small_rig: Any) -> None:
     """The coefficients take up all of it, and what is more than twice is left, over the noise and the rough part."""
-    beside, fitted = beside_discretisation_error(4.0, small_rig())
-    taken = beside.corrected(fitted, 0, beside.runs[0].measured[0])
+    problem, fitted = with_discretisation_error(4.0, small_rig())
+    taken = problem.corrected(fitted, 0, problem.runs[0].measured[0])
     assert taken == pytest.approx(4.0 * OWN * np.ones_like(taken), rel=0.05)
     left = 2.0 * OWN / np.hypot(SIGMA, SOLVE.rough_error_share * OWN)
-    (found,) = misfit_by_quantity(beside, fitted)
+    (found,) = misfit_by_quantity(problem, fitted)
     assert np.sqrt(found.misfit) == pytest.approx(left, rel=0.05)
-    (said,) = unexplained(beside, fitted)
+    (said,) = unexplained(problem, fitted)
     assert f"{np.sqrt(found.misfit):.2g} times the noise in the position of gauge" in said
     assert "Twice the error of mesh" in said
-    assert structure(beside, fitted).missing
+    assert structure(problem, fitted).missing
 
 
 def test_that_a_recording_may_be_of_another_rig_is_said_where_it_is_not_explained() -> None:
-    beside, fitted = wrench(1.0, 3.0)
-    beside.runs = [replace(beside.runs[0], unlike="27 markers, the rig 33."), *beside.runs[1:]]
-    said = unexplained(beside, fitted)
+    problem, fitted = wrench(1.0, 3.0)
+    problem.runs = [replace(problem.runs[0], unlike="27 markers, the rig 33."), *problem.runs[1:]]
+    said = unexplained(problem, fitted)
     assert said[0].startswith("The rig does not explain") and said[1] == "press: 27 markers, the rig 33."
-    beside, fitted = wrench(1.0, 1.0)
-    beside.runs = [replace(beside.runs[0], unlike="27 markers, the rig 33.")]
-    assert unexplained(beside, fitted) == []
+    problem, fitted = wrench(1.0, 1.0)
+    problem.runs = [replace(problem.runs[0], unlike="27 markers, the rig 33.")]
+    assert unexplained(problem, fitted) == []
 
 
 def test_each_quantity_is_judged_by_itself() -> None:
-    beside = wrench(1.0, 3.0)
-    forces, torques = misfit_by_quantity(*beside)
+    problem = wrench(1.0, 3.0)
+    forces, torques = misfit_by_quantity(*problem)
     assert (forces.quantity, torques.quantity) == ("force", "torque")
     assert forces.misfit == pytest.approx(1.0, abs=0.15) and torques.misfit == pytest.approx(9.0, rel=0.15)
-    assert worst(*beside) == torques.misfit
-    (said,) = unexplained(*beside)
+    assert worst(*problem) == torques.misfit
+    (said,) = unexplained(*problem)
     assert f"{np.sqrt(torques.misfit):.2g} times the noise in the torque of cell." in said and "force" not in said
 
 
@@ -203,7 +203,7 @@ def test_readings_that_are_few_in_each_recording_are_judged_together() -> None:
 def test_a_minimum_that_is_better_in_one_quantity_is_kept_however_many_others_there_are(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """900 columns of markers beside one reading that tells the two sides apart: the sum falls by less than 2 %."""
+    """900 columns of markers next to one reading that tells the two sides apart: the sum falls by less than 2 %."""
     plain = Folded.predict_all, Folded.submit
     rng = np.random.default_rng(3)
     many = SIGMA * rng.standard_normal((len(T), 900))
@@ -245,7 +245,7 @@ def test_offsets_that_each_recording_has_for_itself_are_looked_for_too(small_rig
     assert Searches(rig, parameters, options, Evaluations(options))._offsets == [1, 2]
 
 
-def test_what_is_left_in_several_recordings_is_told_of_the_worst() -> None:
+def test_what_is_left_in_several_recordings_is_reported_of_the_worst() -> None:
     (problem_, fitted) = wrench(1.0, 3.0)
     worse, _ = wrench(1.0, 5.0)
     runs = [problem_.runs[0], replace(worse.runs[0], name="second")]

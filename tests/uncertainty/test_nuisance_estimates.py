@@ -1,4 +1,4 @@
-"""A recording with everything that nobody tells gives back what is in it, and a clean one loses little."""
+"""A recording with all nuisances gives back what is in it, and a clean one loses little."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from sysid.observations.observations import Run
 from sysid.report import write_fit_report
 from sysid.settings.fit import FIT
 
-UNTOLD = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
+HIDDEN = {"markers.latency_s": 0.02, "side.fx_px": 1407.0, "side.fy_px": 1407.0}
 
 MOST_GROWTH = 1.25
-"""How much wider the intervals of a clean recording may be for what is estimated beside the parameters."""
+"""How much wider the intervals of a clean recording may be for what is estimated with the parameters."""
 
 
 @pytest.fixture(scope="module")
 def dirty(small_rig: Callable[..., Rig], tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return record(small_rig(), UNTOLD, BIAS, tmp_path_factory.mktemp("dirty") / "bag")
+    return record(small_rig(), HIDDEN, BIAS, tmp_path_factory.mktemp("dirty") / "bag")
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +41,14 @@ def fitted(rig: Rig, run: Run, nuisance: tuple[str, ...], intervals: Intervals =
 
 
 @pytest.mark.slow
-def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_path: Path) -> None:
+def test_what_nobody_measured_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_path: Path) -> None:
     result, rig = fitted(small_rig(), dirty, ("time", "bias", "camera"))
     assert result.converged and result.reduced_chi2 < 1.1
     for e in result.estimates:
         assert e.ci95[0] <= TRUTH[e.name] <= e.ci95[1], e
         assert e.value == pytest.approx(TRUTH[e.name], rel=0.03)
     found = {n.name: n for n in result.nuisances}
-    for name, value in {**UNTOLD, "wrench.latency_s": 0.0, "side.cx_px": 640.0}.items():
+    for name, value in {**HIDDEN, "wrench.latency_s": 0.0, "side.cx_px": 640.0}.items():
         if name in found:
             assert found[name].ci95[0] <= value <= found[name].ci95[1], found[name]
     for axis, value in zip("xyz", BIAS[:3], strict=True):
@@ -62,7 +62,7 @@ def test_what_nobody_told_does_not_fool_a_fit(small_rig: Any, dirty: Run, tmp_pa
     assert [e["name"] for e in json.loads(json.dumps(result.to_json()))["nuisances"]] == list(found)
     assert "markers.latency_s" in result.table() and result.remarks[0] in result.table()
     page = write_fit_report(result, tmp_path / "report.html").read_text()
-    assert "Estimated beside them" in page and "wrench force x bias" in page
+    assert "Estimated with them" in page and "wrench force x bias" in page
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_where_nothing_moves_clocks_stay_at_their_prior(small_rig: Any, tmp_path
     clocks = [n for n in result.nuisances if n.name.endswith("latency_s")]
     assert len(clocks) == 3
     for n in clocks:
-        assert not n.told and n.sd >= 0.99 * n.prior_sd and abs(n.value) < 1e-3 * n.prior_sd
+        assert not n.informed and n.sd >= 0.99 * n.prior_sd and abs(n.value) < 1e-3 * n.prior_sd
     assert result.remarks == [] and result.identifiability == []
     (line,) = [line for line in result.table().splitlines() if "latency" in line]
     assert line.endswith("known no better than before."), "they are named, and no values of them"
@@ -92,8 +92,8 @@ def test_where_nothing_moves_clocks_stay_at_their_prior(small_rig: Any, tmp_path
 
 @pytest.mark.slow
 def test_a_clean_recording_loses_little(small_rig: Any, clean: Run) -> None:
-    """Intervals grow by a quarter at most where poses are known, and evaluations of the rig by half; beside looks along
-    profiles, which may lead to the other side of a kink."""
+    """Intervals grow by a quarter at most where poses are known, and evaluations of the rig by half; apart from
+    evaluations along profiles, which may lead to the other side of a kink."""
     asked, plain = (
         fitted(small_rig(), clean, kinds, "quadratic")[0] for kinds in (("time", "bias", "camera"), ("none",))
     )

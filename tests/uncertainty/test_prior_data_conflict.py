@@ -21,8 +21,8 @@ from sysid.uncertainty.prior_data_conflict import _without, prior_data_conflicts
 pytestmark = pytest.mark.usefixtures("vectors")
 
 
-def fitted_beside(known: float, sd: float, rng: np.random.Generator, nuisance: bool = False) -> Fitted:
-    """The linear model, fitted beside a = ``known`` +- ``sd``."""
+def fitted_with(known: float, sd: float, rng: np.random.Generator, nuisance: bool = False) -> Fitted:
+    """The linear model, fitted with the prior a = ``known`` +- ``sd``."""
     values = coarse(TRUTH) + SIGMA * rng.standard_normal((len(T), 2))
     problem = Problem([run_of(values)], NOISE, cast(ParallelPredictor, Linear()))
     first = replace(PARAMETERS[0], known_sd=sd, nuisance=nuisance)
@@ -31,18 +31,18 @@ def fitted_beside(known: float, sd: float, rng: np.random.Generator, nuisance: b
 
 
 def deviations(fitted: Fitted) -> float:
-    """Those that are told of a."""
+    """Those that are reported of a."""
     return float(re.search(r"value, ([\d.e+]+) standard", prior_data_conflicts(fitted)["a"])[1])  # type: ignore[index]
 
 
 @pytest.mark.parametrize("sd", [0.001, 0.01, 0.1])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_they_are_told_with_the_deviations_between_them(sd: float, side: float) -> None:
+def test_they_are_reported_with_the_deviations_between_them(sd: float, side: float) -> None:
     """Of a linear model, from the normal equations; however little the fit leaves the prior."""
     slopes = np.stack([coarse(e).ravel() for e in np.eye(2)], axis=-1) / SIGMA
     own = np.sqrt(np.linalg.inv(slopes.T @ slopes)[0, 0])
     off = 20.0 * np.hypot(own, sd)
-    fitted = fitted_beside(TRUTH[0] + side * off, sd, np.random.default_rng(1))
+    fitted = fitted_with(TRUTH[0] + side * off, sd, np.random.default_rng(1))
     # The data's own value misses the truth by chance, and what scatters is judged by its blocks, too.
     assert deviations(fitted) == pytest.approx(20.0, rel=0.15)
     (words,) = prior_data_conflicts(fitted).values()
@@ -52,12 +52,12 @@ def test_they_are_told_with_the_deviations_between_them(sd: float, side: float) 
 
 def test_what_is_right_is_contradicted_as_seldom_as_chance_has_it() -> None:
     rng = np.random.default_rng(0)
-    told = [bool(prior_data_conflicts(fitted_beside(rng.normal(TRUTH[0], 0.01), 0.01, rng))) for _ in range(200)]
-    assert sum(told) <= 3  # 0.3 % are expected
+    reported = [bool(prior_data_conflicts(fitted_with(rng.normal(TRUTH[0], 0.01), 0.01, rng))) for _ in range(200)]
+    assert sum(reported) <= 3  # 0.3 % are expected
 
 
-def test_nuisances_are_told_elsewhere() -> None:
-    fitted = fitted_beside(TRUTH[0] + 1.0, 0.01, np.random.default_rng(1), nuisance=True)
+def test_nuisances_are_reported_elsewhere() -> None:
+    fitted = fitted_with(TRUTH[0] + 1.0, 0.01, np.random.default_rng(1), nuisance=True)
     assert prior_data_conflicts(fitted) == {}
 
 
@@ -81,7 +81,7 @@ def test_a_bound_does_not_hide_what_is_contradicted(lower: float) -> None:
 
 
 def test_recordings_that_are_missed_by_far_are_not_said_to_determine_nothing() -> None:
-    """Beside a prior, and a misfit that no parameter explains."""
+    """With a prior, and a misfit that no parameter explains."""
     noise = {"gauge": NOISE["gauge"]}
     values = coarse(TRUTH) + 20.0 * SIGMA * np.random.default_rng(1).standard_normal((len(T), 2))
     problem = Problem([run_of(values)], noise, cast(ParallelPredictor, Linear()))

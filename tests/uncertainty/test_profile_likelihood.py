@@ -116,7 +116,7 @@ def test_of_a_parabola_it_is_the_quadratic_interval() -> None:
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1.0, 2.0, 6.0])
-def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_interval(amplitude: float) -> None:
+def test_with_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_interval(amplitude: float) -> None:
     """Of a linear model; nearly all that separates the two is what is known of the nuisance before."""
     t = np.linspace(0.0, 2.0, 200)
     slopes = np.column_stack([np.sin(3.0 * t), np.sin(3.0 * t) + 0.02 * t])
@@ -129,9 +129,9 @@ def test_beside_a_nuisance_and_a_misfit_with_structure_it_is_the_quadratic_inter
     values = 0.4 * slopes[:, 0] + SIGMA * (amplitude * np.sin(9.0 * t) + noise)
     run = Run("r", "", (), {}, (Measured("c", "markers", t, values[:, None], ("u",)),), 2.0)
     asked = FitParameter("a", "", False, -100.0, 100.0, 5.0, "")
-    beside = FitParameter("lag", "", False, -100.0, 100.0, 0.05, "", nuisance=True)
+    lag = FitParameter("lag", "", False, -100.0, 100.0, 0.05, "", nuisance=True)
     problem = Problem([run], {"c": ChannelNoise(np.array([SIGMA]), 0.0, "test")}, cast(SerialPredictor, Linear()))
-    fitted = problem.fit(cast(Any, None), [asked, beside], start=np.array([0.4, 0.0]), tolerance=1e-9)
+    fitted = problem.fit(cast(Any, None), [asked, lag], start=np.array([0.4, 0.0]), tolerance=1e-9)
     (profile,) = Profiler(problem, fitted).profiles()
     at, sd = fitted.scaled[0], uncertainty(fitted).sd[0]
     assert profile.ends == ("found", "found") and profile.sentence == ""
@@ -287,7 +287,7 @@ class Pressed(Curve):
 
 
 @pytest.mark.parametrize("intervals", ["checked", "profiled"])
-def test_ctrl_c_on_the_way_to_the_ends_is_told(intervals: Intervals) -> None:
+def test_ctrl_c_on_the_way_to_the_ends_is_reported(intervals: Intervals) -> None:
     problem, fitted = fitted_to(linear, (0.4, -0.3))
     problem.engine = cast(SerialPredictor, Pressed(linear))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
@@ -334,14 +334,14 @@ def test_the_number_of_evaluations_is_bounded() -> None:
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
     engine = cast(Curve, problem.engine)
     engine.calls = 0
-    told: list[tuple[float, str]] = []
-    Profiler(problem, fitted, lambda share, text: told.append((share, text))).profiles()
-    assert engine.calls == len(told) <= 40
-    assert all(0.0 < share < 1.0 for share, _ in told)
-    assert all(re.fullmatch(r"ends of intervals, evaluation \d+ of about \d+", text) for _, text in told)
+    reported: list[tuple[float, str]] = []
+    Profiler(problem, fitted, lambda share, text: reported.append((share, text))).profiles()
+    assert engine.calls == len(reported) <= 40
+    assert all(0.0 < share < 1.0 for share, _ in reported)
+    assert all(re.fullmatch(r"ends of intervals, evaluation \d+ of about \d+", text) for _, text in reported)
 
 
-def test_a_better_fit_on_the_way_is_told() -> None:
+def test_a_better_fit_on_the_way_is_reported() -> None:
     """Where the search stands, the readings do not change with the first parameter."""
     problem, _ = fitted_to(cubic, (1.0, 0.1))
     there = problem.evaluate(cast(Any, None), parameters(-5.0, 5.0), np.array([0.0, 0.1]))
@@ -351,8 +351,8 @@ def test_a_better_fit_on_the_way_is_told() -> None:
     assert "contacts.a-b.friction = " in profiler.lower()
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
-def test_what_chance_makes_of_a_misfit_with_structure_is_no_better_fit(share: float, told: bool) -> None:
+@pytest.mark.parametrize(("share", "reported"), [(0.9, False), (1.1, True)])
+def test_what_chance_makes_of_a_misfit_with_structure_is_no_better_fit(share: float, reported: bool) -> None:
     """Samples that repeat each other let chi-square fall by more than misfit over noise tells."""
     problem, _ = fitted_to(linear, (0.4, -0.3))
     (run,) = problem.runs
@@ -365,7 +365,7 @@ def test_what_chance_makes_of_a_misfit_with_structure_is_no_better_fit(share: fl
     profiler = Profiler(wrong, fitted)
     least = fitted.chi2 - share * 1.959964**2 * by_chance
     profiler._lowest = replace(profiler._best, residual=fitted.residual * np.sqrt(least / fitted.chi2))
-    assert bool(profiler.lower()) == told
+    assert bool(profiler.lower()) == reported
 
 
 def escaping(a: float, b: float) -> np.ndarray:
@@ -392,7 +392,7 @@ def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) ->
 
 
 def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
-    """Of a product: beside a factor that is far off the other goes too far at first, and is right only then."""
+    """Of a product: with a factor that is far off the other goes too far at first, and is right only then."""
     problem, _ = fitted_to(lambda a, b: a * b * np.sin(3.0 * T), (1.0, 1.0))
     there = problem.evaluate(cast(Any, None), parameters(-100.0, 100.0), np.array([0.05, 0.05]))
     profiler = Profiler(problem, there)

@@ -50,6 +50,6 @@ def test_the_closed_form_has_the_limits_of_a_bar_and_of_a_plate():
 def test_a_strip_bends_across_as_ashwell_says(pattern):
     """Moment within 1.5 %, curvature across within 5 % of nu k, on a coarse mesh; both change five times that much
     from bar to plate."""
-    for answers, ours in bent_strip(pattern, (40, 16)):
-        assert ours[0] == pytest.approx(answers[0], rel=0.015)
-        assert ours[1] == pytest.approx(answers[1], abs=0.05)
+    for expected, ours in bent_strip(pattern, (40, 16)):
+        assert ours[0] == pytest.approx(expected[0], rel=0.015)
+        assert ours[1] == pytest.approx(expected[1], abs=0.05)

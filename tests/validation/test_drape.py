@@ -1,4 +1,4 @@
-"""A disc of fabric over a round table: the answers, by another method, and the simulator."""
+"""A disc of fabric over a round table: the reference, by another method, and the simulator."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_a_stiff_disc_hangs_as_a_plate_does_by_the_other_method():
 
 
 @pytest.mark.parametrize("folds", DRAPED)
-def test_the_answers_are_those_of_the_other_method(folds):
+def test_reference_values_are_those_of_the_other_method(folds):
     found = Disc(LAW, 9.81 * AREAL, RADII, folds, elements=6, waves=8).drape()
     assert found.stable
     heights = found.rim[1, [0, -1]] / OVERHANG

@@ -1,4 +1,4 @@
-"""The answers themselves: against what is printed, and by a second method."""
+"""The reference solutions: against what is printed, and by a second method."""
 
 import json
 import os

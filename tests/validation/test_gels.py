@@ -45,7 +45,7 @@ def test_a_layer_shears_in_proportion_to_the_height():
 
 
 @pytest.mark.parametrize(("nu", "shape"), DISC)
-def test_the_answers_for_a_bonded_disc_are_those_of_another_method(nu, shape):
+def test_reference_values_of_a_bonded_disc_are_those_of_another_method(nu, shape):
     assert exact_disc(nu, shape, degree=6, layers=6) == pytest.approx(DISC[nu, shape], rel=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""Physics with known answers, and that the simulator gets nearer to them on finer meshes."""
+"""Physics with known solutions, and that the simulator gets nearer to them on finer meshes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A flat punch on a layer, and a membrane blown into a dome: the answers, by second methods, and the simulator."""
+"""A flat punch on a layer, and a membrane blown into a dome: the reference, by second methods, and the simulator."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from sim_core.trajectories import Limits, Trajectory
 from thinshell_ros.poses import UNIT_TOLERANCE
 from thinshell_ros.replay.sensors import MarkerGuard, WrenchGuard
 from thinshell_ros.replay.streams import Instant, Stream, head
-from thinshell_ros.replay.tracking import Follows, Numbers, Placed, Track, nearest
+from thinshell_ros.replay.tracking import Numbers, Placed, Track, TrackingLimits, nearest
 
 LATE_PERIODS = 3.0
 """A control loop that is late by more than so many periods, and by more than the time-out of poses, has stood still."""
@@ -64,14 +64,14 @@ class Guard:
         self,
         settings: GuardSettings,
         trajectory: Trajectory,
-        follows: Mapping[str, Follows],
+        tracking: Mapping[str, TrackingLimits],
         wrenches: Mapping[str, WrenchGuard],
         markers: Mapping[str, MarkerGuard],
     ) -> None:
         self.settings = settings
         self._frames = {name: path.frame_id for name, path in trajectory.end_effectors.items()}
         self._limits = {name: trajectory.limits_of(name).stricter(settings.limits) for name in self._frames}
-        self._tracks = {name: Track(name, follows[name]) for name in self._frames}
+        self._tracks = {name: Track(name, tracking[name]) for name in self._frames}
         self._wrenches, self._markers = dict(wrenches), dict(markers)
         self._poses = {name: self._stream(f"the pose of {name}", settings.pose_timeout_s) for name in self._frames}
         self._others = {
@@ -219,7 +219,7 @@ class Guard:
         for name, target in self._commanded.items():
             stream, pose = self._poses[name], self._measured[name]
             known = not (stream.fault or self._silent(now, [stream]) or self._outside(name, pose))
-            near = self._tracks[name].follows
+            near = self._tracks[name].limits
             if known and self.settings.moves:
                 away, turn = nearest(self._tracks[name].lately(now.ros_s), pose, near.near_m, near.near_rad)
                 known = away <= near.near_m and turn <= near.near_rad

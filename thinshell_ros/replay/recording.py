@@ -1,5 +1,5 @@
-"""A bag that is recorded beside the control loop: by ``record_node`` in a process of its own, which costs the loop no
-time and ends when the node that replays does."""
+"""A bag that is recorded in parallel to the control loop: by ``record_node`` in a process of its own, which costs the
+loop no time and ends when the node that replays does."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ STOP_S = 120.0
 class Recording:
     """Records topics, whose full names are given, from its start until :meth:`stop`."""
 
-    def __init__(self, beside: Node, topics: Sequence[str], rig: str, uri: str) -> None:
-        """``beside``: the node that it is named after; ``rig``: kept in the bag, '' for none; ``uri``: new bag, by date
+    def __init__(self, owner: Node, topics: Sequence[str], rig: str, uri: str) -> None:
+        """``owner``: the node that it is named after; ``rig``: kept in the bag, '' for none; ``uri``: new bag, by date
         and time where it is empty.
 
         Raises:
@@ -33,10 +33,10 @@ class Recording:
         self.bag = Path(uri or time.strftime("replay_%Y%m%d_%H%M%S")).expanduser().absolute()
         if os.path.lexists(self.bag):
             raise ConfigError(f"{self.bag} exists already.", "Set record_uri to another path, or move it away first.")
-        self.name = f"{beside.get_name()}_recorder"
+        self.name = f"{owner.get_name()}_recorder"
         given = {"uri": self.bag, "rig": rig, "topics": f"[{', '.join(dict.fromkeys(topics))}]"}
-        given["use_sim_time"] = str(bool(beside.get_parameter("use_sim_time").value)).lower()
-        words = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={beside.get_namespace()}"]
+        given["use_sim_time"] = str(bool(owner.get_parameter("use_sim_time").value)).lower()
+        words = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={owner.get_namespace()}"]
         for name, value in given.items():
             words += ["-p", f"{name}:={value}"] if value else []
         context = multiprocessing.get_context("spawn")
@@ -61,7 +61,7 @@ class Recording:
 
 
 def record(words: list[str]) -> None:
-    """What the process does: record until it is told to end, or the process that started it is no more."""
+    """What the process does: record until it is asked to end, or the process that started it is no more."""
     from thinshell_ros import record_node
 
     parent = multiprocessing.parent_process()

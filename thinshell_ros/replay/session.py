@@ -22,7 +22,7 @@ from thinshell_ros.replay.guard import Guard, GuardSettings
 from thinshell_ros.replay.sensors import MarkerGuard, WrenchGuard
 from thinshell_ros.replay.setpoints import Setpoints, WayBack
 from thinshell_ros.replay.streams import Instant
-from thinshell_ros.replay.tracking import Follows, Numbers, Placed
+from thinshell_ros.replay.tracking import Numbers, Placed, TrackingLimits
 from thinshell_ros.replay.watch import PredictionWatch
 
 State = Literal["idle", "running", "succeeded", "aborted", "retracting", "retracted"]
@@ -60,14 +60,16 @@ def checked(trajectory: Trajectory, settings: GuardSettings, speed_scale: float,
     return review
 
 
-def follows(trajectory: Trajectory, settings: GuardSettings, setpoints: Setpoints, scale: float) -> dict[str, Follows]:
+def tracking_limits(
+    trajectory: Trajectory, settings: GuardSettings, setpoints: Setpoints, scale: float
+) -> dict[str, TrackingLimits]:
     """How each end effector has to follow: as the settings say, else the trajectory, else what its motion asks for."""
     usual, found = HandLimits(), {}
     fastest, poses = setpoints.fastest(), trajectory.poses()
     for name, path in trajectory.end_effectors.items():
         wrenches = list(trajectory.predicted.wrenches.values())
         near, turn = path_tolerances(poses[name], wrenches, (usual.accuracy_m, usual.accuracy_rad))
-        found[name] = Follows(
+        found[name] = TrackingLimits(
             settings.tracking_tolerance_m or path.tolerance_m or near,
             settings.tracking_tolerance_rad or path.tolerance_rad or turn,
             settings.max_lag_s or path.max_lag_s or usual.max_lag_s,
@@ -95,7 +97,7 @@ class Session:
         None where that is not known."""
         predicted = trajectory.predicted
         self.setpoints = Setpoints(trajectory)
-        follow = follows(trajectory, settings, self.setpoints, speed_scale)
+        follow = tracking_limits(trajectory, settings, self.setpoints, speed_scale)
         lag = speed_scale * (max(f.lag_s for f in follow.values()) + settings.period_s)
         count = values_in_a_replay(predicted, trajectory.duration_s / speed_scale)
         factors = spread_factor(predicted), noise_factor(count)

@@ -26,7 +26,7 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Follows:
+class TrackingLimits:
     """How an end effector has to follow: within ``near_m``, ``near_rad`` of where its commands were within the last
     ``lag_s``; ``speed_m_s``, ``turn_rad_s``: fastest planned motion."""
 
@@ -40,10 +40,10 @@ class Follows:
 class Track:
     """The commands and the measured poses of one end effector, all times [s] of one clock."""
 
-    def __init__(self, name: str, follows: Follows, keep_s: float = 5.0) -> None:
-        """``keep_s``: how far back a lag can be told."""
-        self._name, self.follows = name, follows
-        self._keep = max(keep_s, 2.0 * follows.lag_s)
+    def __init__(self, name: str, limits: TrackingLimits, keep_s: float = 5.0) -> None:
+        """``keep_s``: how far back a lag can be measured."""
+        self._name, self.limits = name, limits
+        self._keep = max(keep_s, 2.0 * limits.lag_s)
         self._commands: deque[tuple[float, Placed]] = deque()
         self._last: tuple[float, Placed, bool] | None = None
         self._still: tuple[float, Placed] | None = None
@@ -67,7 +67,7 @@ class Track:
 
     def judge(self, stamp: float, arrival: float, pose: Placed) -> str:
         """What is wrong with a pose that was measured at its stamp and arrived later, '' if nothing is."""
-        f, name = self.follows, self._name
+        f, name = self.limits, self._name
         last, still = self._last, self._still
         if (
             still is None
@@ -104,7 +104,7 @@ class Track:
         )
 
     def _jumped(self, last: tuple[float, Placed, bool], stamp: float, pose: Placed) -> str:
-        f, span = self.follows, max(stamp - last[0], 0.0)
+        f, span = self.limits, max(stamp - last[0], 0.0)
         way, turn = math.dist(last[1].position, pose.position), turn_between(last[1].quaternion, pose.quaternion)
         for size, unit, speed, near in ((way, "m", f.speed_m_s, f.near_m), (turn, "rad", f.turn_rad_s, f.near_rad)):
             if size > (most := FAST * speed * span + JITTER_SHARE * near):
@@ -116,7 +116,7 @@ class Track:
 
     def lately(self, now: float) -> list[Placed]:
         """Commands within the lag that is allowed."""
-        return self._since(now - self.follows.lag_s)
+        return self._since(now - self.limits.lag_s)
 
     def _since(self, begin: float) -> list[Placed]:
         """Commands from a time on, and the one before."""
@@ -130,10 +130,10 @@ class Track:
     def _late(self, now: float, pose: Placed) -> float | None:
         """By how much the end effector is late, if it is near an older command [s]."""
         for when, command in reversed(self._commands):
-            if math.dist(command.position, pose.position) <= self.follows.near_m and (
-                turn_between(command.quaternion, pose.quaternion) <= self.follows.near_rad
+            if math.dist(command.position, pose.position) <= self.limits.near_m and (
+                turn_between(command.quaternion, pose.quaternion) <= self.limits.near_rad
             ):
-                return now - when if now - when > self.follows.lag_s else None
+                return now - when if now - when > self.limits.lag_s else None
         return None
 
 

@@ -271,7 +271,7 @@ class Adjoint {
         loads_[3 * r_.bearing_node[b] + i] -= w;
         bears_ = bears_ || w != 0.0;
       }
-    const Values own = loads_;  // of what is embedded, beside that with which it bears on others
+    const Values own = loads_;  // of what is embedded, apart from the load that it passes on to others
     system().embedding.fill(loads_.data());
     for (int e = 0; e < r_.embedded; ++e)
       for (int i = 3 * r_.embedded_node[e]; i < 3 * r_.embedded_node[e] + 3; ++i) loads_[i] += own[i];

@@ -131,8 +131,8 @@ class Contacts {
       const double gap = distance - law(c)[OFFSET], area = r_.sample_area[s];
       stiffness_[s] = Mat3{};
       if (!(gap < law(c)[REACH] || friction_[s].limit > 0.0)) return;
-      const auto beside = normal(c, s, gap);
-      const Mat3 k = stiffness_of(friction_[s], d, turn, area, gap, n, second, law(c), beside.pressure, beside.slope, exact);
+      const auto pressed_at = normal(c, s, gap);
+      const Mat3 k = stiffness_of(friction_[s], d, turn, area, gap, n, second, law(c), pressed_at.pressure, pressed_at.slope, exact);
       stiffness_[s] = k;
       const Slot *slot = &slots_[first_slot_[s]];
       for (int a = 0; a < members(c); ++a)
@@ -208,7 +208,7 @@ class Contacts {
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, memory, turn, law_at.data(), c, s, first);
         const Vec<Lanes, 3> d = seeded_arm(x, nullptr, gives(c) ? nullptr : dx, c, s, first);
         const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c),
-                                     Beside{*this, c, s, first});
+                                     AddedPressure{*this, c, s, first});
         for (int a = 0; a < members(c); ++a) spread(at.force, -share(s, a), member(c, s, a), first, out);
       });
   }
@@ -232,7 +232,7 @@ class Contacts {
         const Friction<Lanes> f = seeded_friction(x_start, dx_start, before, turn, law_at.data(), c, s, first);
         const Vec<Lanes, 3> d = seeded_arm(x, dx, dx, c, s, first);
         const auto at = press<Lanes>(f, d, turn, r_.sample_area[s], law_at.data(), shape(c),
-                                     Beside{*this, c, s, first});
+                                     AddedPressure{*this, c, s, first});
         const Vec<Lanes, 3> m = d.cross(at.force);
         spread(at.force, 1.0, r_.body_node[c], first, d_force);
         spread(m, 1.0, c, first, d_moments);
@@ -293,7 +293,7 @@ class Contacts {
   AddedLaws::Normal normal(int c, int s, double gap) const {
     return gap < law(c)[REACH] ? added_[c].normal(gap, bonded_[s]) : AddedLaws::Normal{};
   }
-  struct Beside {
+  struct AddedPressure {
     const Contacts &of;
     int c, s, first;
     template <class S> S operator()(const S &gap) const {
@@ -301,7 +301,7 @@ class Contacts {
     }
   };
   Pressed<double> pressed(int c, int s, const Vec3 &d) const {
-    return press<double>(friction_[s], d, rotation(c), r_.sample_area[s], law(c), shape(c), Beside{*this, c, s, 0});
+    return press<double>(friction_[s], d, rotation(c), r_.sample_area[s], law(c), shape(c), AddedPressure{*this, c, s, 0});
   }
 
   Vec3 arm(const double *x, int c, int s) const {

@@ -67,10 +67,10 @@ template <class S> struct Pressed {
   Vec<S, 3> force;  // on the sample, friction included [N]
 };
 
-// `beside`: pressure that effects add at a gap.
+// `added_pressure`: pressure that effects add at a gap.
 template <class S, class C, class P, class A>
 THINSHELL_FN Pressed<S> press(const Friction<S> &f, const Vec<S, 3> &arm, const Mat<S, 3, 3> &rotation, const A &area,
-                 const C *law, const double *shape, P &&beside) {
+                 const C *law, const double *shape, P &&added_pressure) {
   const auto [distance, n, second] =
       laws::shapes::signed_distance(Vec<S, 3>(matmul(rotation.transpose(), arm)), shape);
   (void)second;
@@ -78,7 +78,7 @@ THINSHELL_FN Pressed<S> press(const Friction<S> &f, const Vec<S, 3> &arm, const 
   out.gap = distance - law[OFFSET];
   if (!(out.gap < law[REACH]) && !rubs(f.limit)) return out;
   out.load = area * laws::pressure_and_friction::pressure(out.gap, law);
-  out.force = (out.load + area * beside(out.gap)) * matmul(rotation, n);
+  out.force = (out.load + area * added_pressure(out.gap)) * matmul(rotation, n);
   if (rubs(f.limit)) {
     const Vec<S, 3> u = slip_of(f, arm, rotation);
     if (value(u.norm_sqr()) > 0.0)

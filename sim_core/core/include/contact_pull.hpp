@@ -191,7 +191,7 @@ template <> struct Pull<Contacts> {
     p.speed = noted(memory.speed[s]);
     const Noted limit = c_.added_[c].bound(p.law[MU], p.load, area, p.speed, added_);
     const Friction<Noted> f = friction_start<Noted>(d_start, turn_start, turn, anchor, limit, c_.shape(c));
-    const Pressed<Noted> at = press<Noted>(f, d, turn, area, p.law, c_.shape(c), Contacts::Beside{c_, c, s, added_});
+    const Pressed<Noted> at = press<Noted>(f, d, turn, area, p.law, c_.shape(c), Contacts::AddedPressure{c_, c, s, added_});
     const Vec<Noted, 3> m = d.cross(at.force);
     for (int i = 0; i < 3; ++i) {
       p.force[i] = at.force[i];

@@ -78,7 +78,7 @@ class Candidates {
   int second(int64_t key) const { return int(key % theirs_.count()); }
 
   // Look for pairs that come nearer than `reach` [m] while nodes move from `x` to `towards` or thereabouts, unless those
-  // at hand do. `more`: keep those beside what is found. Whether the inner and the outer ring changed.
+  // at hand do. `more`: keep those in addition to what is found. Whether the inner and the outer ring changed.
   struct Changed {
     bool inner, outer;
   };

@@ -1,4 +1,4 @@
-// What a rollout answers besides parameters: parameters that change in time, and laws that it does not have.
+// What a rollout responds to in addition to parameters: parameters that change in time, and laws that it does not have.
 //
 // A column may be a sum of the columns of parameters, each times a weight that changes from step to step (`Modulations`),
 // or stand for a law that the rollout lacks: what that law would change in the forces, evaluated with a memory of its own

@@ -360,8 +360,8 @@ class Rollout {
   // Carry the derivatives over the step at whose end the system stands.
   void push(double dt, const Frames &given, bool inertia) {
     const std::size_t whole = system.whole(), width = r_.columns;
-    const bool answers = sources.any();
-    const Frames frames = answers ? answer(given) : given;
+    const bool responding = sources.any();
+    const Frames frames = responding ? answer(given) : given;
     modulations_.apply(frames.weights);
     system.assemble(true, nullptr);
     if (system.factorise(true))
@@ -378,7 +378,7 @@ class Rollout {
     std::fill(d_force_.begin(), d_force_.end(), 0.0);
     add_inertia(d_base, d_v_base, inertia);
     add_columns(held);
-    for (std::size_t k = 0; answers && k < d_force_.size(); ++k) d_force_[k] += sources.force[k];
+    for (std::size_t k = 0; responding && k < d_force_.size(); ++k) d_force_[k] += sources.force[k];
     Values total = d_force_, moved(system.count() * width);
     system.hessian.multiply(held.data(), total.data(), int(width));
     system.fold(total.data(), int(width));
@@ -393,7 +393,7 @@ class Rollout {
     system.hessian.multiply(there.data(), d_force_.data(), int(width));
     system.contacts.end_columns(x.data(), system.x.data(), d_x.data(), there.data(), dt, d_turned_.data(), memory,
                                 d_moment_.data(), d_force_.data());
-    if (answers) add_on_bodies();
+    if (responding) add_on_bodies();
     system.embedding.fold(d_force_.data(), int(width));
     system.triangles.keep_slopes(system.x.data(), there.data());
     system.hinges.keep_slopes(system.x.data(), there.data());

@@ -106,8 +106,8 @@ template <int K> class StrainLaws {
   }
 
   // Both times areas; returns the tangents (elements, K, K), the stresses are in `stresses`. Without `exact` no law
-  // softens by more than the stiffness D that it sees where `beside`, or at all.
-  template <class F> const double *tangent(F &&strain, bool exact, bool beside) {
+  // softens by more than the stiffness D that it sees where `with_own`, or at all.
+  template <class F> const double *tangent(F &&strain, bool exact, bool with_own) {
     std::fill(stress_.begin(), stress_.end(), 0.0);
     std::fill(tangent_.begin(), tangent_.end(), 0.0);
     for (Law &law : laws_) {
@@ -118,9 +118,9 @@ template <int K> class StrainLaws {
         double *found = &law.out[std::size_t(each) * p], *t = found + 1 + K;
         const double *own = law.row(p) + 2 * K;
         if (!exact) {
-          for (int k = 0; beside && k < K * K; ++k) t[k] += own[k];
+          for (int k = 0; with_own && k < K * K; ++k) t[k] += own[k];
           make_semidefinite<K>(t);
-          for (int k = 0; beside && k < K * K; ++k) t[k] -= own[k];
+          for (int k = 0; with_own && k < K * K; ++k) t[k] -= own[k];
         }
         for (int i = 0; i < K; ++i) stress_[K * law.element[p] + i] += law.area[p] * found[1 + i];
         for (int k = 0; k < K * K; ++k) tangent_[K * K * law.element[p] + k] += law.area[p] * t[k];

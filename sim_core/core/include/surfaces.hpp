@@ -62,7 +62,7 @@ template <class S, class A = double> struct SampleStep {
     added.assign(3 * count, S(0.0));
   }
   View<S, 2> frames() { return {frame.data(), count, 27}; }
-  View<const S, 2> beside() const { return {added.data(), count, 3}; }
+  View<const S, 2> added_pressures() const { return {added.data(), count, 3}; }
 
   template <class X, class L>
   void measure(Nearest<S> &to, X x, View<const int, 1> first, View<const int, 1> near, View<const double, 2> normals,
@@ -77,7 +77,7 @@ template <class S, class A = double> struct SampleStep {
   template <class X, class Y, class L, class H, class O> void add_gradient(X x, Y x_start, L law, H anchor, O out) {
     laws::surface_kernels::add_gradient(
         x, x_start, own, used, weights, triangles, areas, law, View<S, 1>(limit.data(), count), lag.triangles(), frames(),
-        lag.directions(), anchor, now.gaps(), beside(), now.numbers(), now.triangles(), now.weights(), now.directions(),
+        lag.directions(), anchor, now.gaps(), added_pressures(), now.numbers(), now.triangles(), now.weights(), now.directions(),
         now.shares(), View<S, 2>(force.data(), count, 3), View<S, 1>(load.data(), count), out);
   }
   // Elastic slip before it slides.
@@ -154,7 +154,7 @@ class Surface : public Frictional<Surface> {
     if (!look(x)) return;
     laws::surface_kernels::add_energy(rows(x), rows(x_start_), step_.own, step_.used, step_.weights, step_.triangles,
                                       step_.areas, law(), limits(), step_.lag.triangles(), step_.frames(),
-                                      step_.lag.directions(), anchor(), step_.now.gaps(), step_.beside(),
+                                      step_.lag.directions(), anchor(), step_.now.gaps(), step_.added_pressures(),
                                       View<double, 1>(out, 1));
   }
   void add_gradient(const double *x, double *out) {
@@ -168,7 +168,7 @@ class Surface : public Frictional<Surface> {
     double second[16 * 9];
     laws::surface_kernels::add_hessian(
         rows(x), rows(x_start_), step_.own, step_.used, step_.weights, step_.triangles, step_.areas, law(), limits(),
-        step_.lag.triangles(), step_.frames(), step_.lag.directions(), anchor(), now.gaps(), step_.beside(), now.numbers(),
+        step_.lag.triangles(), step_.frames(), step_.lag.directions(), anchor(), now.gaps(), step_.added_pressures(), now.numbers(),
         now.triangles(), now.weights(), now.directions(), now.shares(), now.kinds(), now.signs(),
         View<const int, 1>(with, 1), table.start(), table.column(), table.place(),
         View<double, 3>(slopes_.data(), now.most + 2, participants, 3), View<double, 3>(second, 16, 3, 3), table.values());

@@ -40,7 +40,7 @@ inline void set_slope(Values &out, const Values &a, const Values &b, double over
   for (std::size_t k = 0; k < a.size(); ++k) out[k] = (a[k] - b[k]) / over;
 }
 
-// Changes of the inverse of a kept tangent, and the steps that told them (tangent.hpp).
+// Changes of the inverse of a kept tangent, and the steps that they were learnt from (tangent.hpp).
 class Corrections {
  public:
   void clear() { pairs_.clear(); }

@@ -3,7 +3,7 @@
 //
 // Right-looking. While one warp updates and inverts the next tile of the diagonal, the others update the rest and bring the
 // rows that the next column reaches into the window. Products of tiles run on the tensor cores for doubles; a thread has two entries of a tile that
-// stand beside each other, and the order in which products are summed is that of the tensor cores' fragments.
+// stand next to each other, and the order in which products are summed is that of the tensor cores' fragments.
 #pragma once
 
 #include "plan.hpp"

@@ -1,5 +1,5 @@
 // What warps do with tiles of 8 x 8 in row order; on a CPU the same in loops. A thread of a warp has two entries of a tile
-// beside each other, 2 lane and 2 lane + 1, as fragments of the tensor cores have them.
+// next to each other, 2 lane and 2 lane + 1, as fragments of the tensor cores have them.
 #pragma once
 
 #include "team.hpp"

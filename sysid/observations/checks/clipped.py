@@ -55,7 +55,7 @@ def _named(stream: Rows, column: int, width: int) -> tuple[str, str]:
 
 
 def constant(recording: Recording) -> Iterator[Finding]:
-    """Components of a wrench that have one value throughout, beside others with noise: nothing measures them."""
+    """Components of a wrench that have one value throughout, next to others with noise: nothing measures them."""
     for name, wrench in recording.wrenches.items():
         values = components(wrench)
         if len(values) < 4 * OBSERVATIONS.clipped_in_a_row:

@@ -1,5 +1,5 @@
-"""Stamps in steps that are coarse beside the interval of a stream: readings are shifted in time, and of those that get
-one stamp all but the first are dropped when they are read."""
+"""Stamps in steps that are coarse compared with the interval of a stream: readings are shifted in time, and of those
+that get one stamp all but the first are dropped when they are read."""
 
 from __future__ import annotations
 

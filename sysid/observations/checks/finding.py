@@ -27,7 +27,7 @@ class Finding:
         remedy: what to do about it.
         times: instants that it is about [s], of the recording's own time; empty for all of it.
         values: what was found, SI units or px.
-        bound: beside what it was judged, in the same unit.
+        bound: what it was compared with, in the same unit.
         role: 'pose', 'wrench', 'markers' or 'tracks', where single readings are faulty.
         part: name of the end effector, sensor or camera.
         faulty: readings that are left out: ``(n,)`` of poses, ``(n, 6)`` of a wrench, ``(n, m)`` of markers.

@@ -111,11 +111,11 @@ def _taken(before: np.ndarray, now: np.ndarray, spacing: float) -> dict[int, int
     jumped = np.flatnonzero(np.nan_to_num(step) > OBSERVATIONS.exchanged_jump_share * spacing)
     if len(jumped) < 2:
         return {}
-    # What all do is motion: a jump is beside how the others move.
+    # What all do is motion: a jump is relative to the median of the others.
     there = np.isfinite(step)
     common = np.median((now - before)[there], axis=0)
-    beside = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
-    if len(jumped) == there.sum() and np.median(beside) < OBSERVATIONS.exchanged_jump_share * spacing:
+    deviation = np.linalg.norm(now[jumped] - before[jumped] - common, axis=1)
+    if len(jumped) == there.sum() and np.median(deviation) < OBSERVATIONS.exchanged_jump_share * spacing:
         return {}
     distance = np.linalg.norm(now[jumped, None] - before[None, jumped], axis=-1)
     nearest = np.argmin(distance, axis=1)

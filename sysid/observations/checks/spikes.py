@@ -67,11 +67,11 @@ def single(values: np.ndarray, size: int, least: float | np.ndarray) -> np.ndarr
     if len(values) < 10:
         return at
     inner = _height(values)[1:-1]
-    told = np.isfinite(inner).sum(axis=0) > 5
+    enough = np.isfinite(inner).sum(axis=0) > 5
     usual = np.full(values.shape[1], np.inf)
-    usual[told] = np.nanmedian(inner[:, told], axis=0)
+    usual[enough] = np.nanmedian(inner[:, enough], axis=0)
     # A column that mostly repeats has no usual distance of its own.
-    usual = np.maximum(usual, np.median(usual[told]) if told.any() else np.inf)
+    usual = np.maximum(usual, np.median(usual[enough]) if enough.any() else np.inf)
     change = (values[2:] - values[:-2]).reshape(len(inner), -1, size)
     apart = np.repeat(np.linalg.norm(change, axis=2), size, axis=1)
     with np.errstate(invalid="ignore"):
@@ -84,7 +84,7 @@ def single(values: np.ndarray, size: int, least: float | np.ndarray) -> np.ndarr
 
 
 def _height(values: np.ndarray) -> np.ndarray:
-    """Distance from the middle of the neighbours ``(n, c)``, 0 at the ends, NaN beside what is missing."""
+    """Distance from the middle of the neighbours ``(n, c)``, 0 at the ends, NaN next to what is missing."""
     height = np.zeros(values.shape)
     height[1:-1] = np.abs(values[1:-1] - 0.5 * (values[2:] + values[:-2]))
     return height

@@ -1,4 +1,4 @@
-"""Two sources on one topic: a second driver, a replayed bag beside a live robot, a commanded pose remapped onto a
+"""Two sources on one topic: a second driver, a replayed bag next to a live robot, a commanded pose remapped onto a
 measured one. Their messages interleave, and what is read jumps to and fro."""
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ def two_publishers(recording: Recording) -> Iterator[Finding]:
     groups = (("pose", recording.poses), ("target pose", recording.target_poses))
     for _, poses in groups:
         for name, stream in poses.items():
-            yield from _told(name, stream.topic, stream.t, stream.position, "m", "mm", 1e3)
+            yield from _interleaved(name, stream.topic, stream.t, stream.position, "m", "mm", 1e3)
     for name, wrench in recording.wrenches.items():
-        yield from _told(name, wrench.topic, wrench.t, components(wrench)[:, :3], "N", "N", 1.0)
+        yield from _interleaved(name, wrench.topic, wrench.t, components(wrench)[:, :3], "N", "N", 1.0)
 
 
-def _told(
+def _interleaved(
     name: str, topic: str, t: np.ndarray, values: np.ndarray, unit: str, shown: str, scale: float
 ) -> Iterator[Finding]:
     found = two_levels(values)
@@ -49,7 +49,7 @@ def _told(
 def two_levels(values: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Which of the samples ``(n, c)`` are of a second source, and how far the two are apart; None where there is one.
 
-    What is left of each sample beside the straight line through its neighbours has two levels where neighbours are of
+    The residual of each sample from the straight line through its neighbours has two levels where neighbours are of
     the other source and none where they are of the same.
     """
     values = values[:, np.isfinite(values).all(axis=0)]

@@ -18,7 +18,7 @@ def is_compressed(topic: str) -> bool:
     return topic.rsplit("/", 1)[-1] == "compressed"
 
 
-class Pictures:
+class MarkerImages:
     """Pictures of one camera. ``make``: creates the publisher of a message type."""
 
     def __init__(self, camera: PinholeCamera | FisheyeCamera, make: Callable[[Any], Any]) -> None:

@@ -49,33 +49,33 @@ def same(one: Trace, other: Trace) -> None:
         np.testing.assert_allclose(other.outputs[channel], values, atol=2e-6 * scale)
 
 
-def test_a_rollout_beside_another_one_finds_the_same_with_fewer_factorisations(
+def test_a_warm_start_finds_the_same_with_fewer_factorisations(
     rig: Rig, poses: dict[str, PoseTrajectory], before: Trace
 ) -> None:
     other = with_parameters(rig, {FRICTION: 0.3, "gel.E_pa": 2.3e5})
     alone = simulate(build_scene(other), poses, TIMES)
     changed = max(float(np.nanmax(np.abs(v - alone.outputs[c]))) for c, v in before.outputs.items())
     assert max(r.contacts for r in alone.reports) > 0 and changed > 0.1
-    beside = simulate(build_scene(other), poses, TIMES, beside=before.path)
-    same(alone, beside)
-    assert factorisations(beside) < 0.75 * factorisations(alone)
+    warm = simulate(build_scene(other), poses, TIMES, warm_start=before.path)
+    same(alone, warm)
+    assert factorisations(warm) < 0.75 * factorisations(alone)
     # The tangent where the search begins tells of stability: no other one is made for that where it is good enough.
-    assert sum(r.factorisations == 1 and r.iterations > 2 for r in beside.reports) >= 3
+    assert sum(r.factorisations == 1 and r.iterations > 2 for r in warm.reports) >= 3
 
 
 def test_a_path_that_leads_astray_changes_no_result(rig: Rig, poses: dict[str, PoseTrajectory], before: Trace) -> None:
     assert before.path is not None
     alone = simulate(build_scene(rig), poses, TIMES)
     off = 1e-3 * np.random.default_rng(0).standard_normal(before.path.positions.shape)
-    same(alone, simulate(build_scene(rig), poses, TIMES, beside=NodePath(TIMES, before.path.positions + off)))
+    same(alone, simulate(build_scene(rig), poses, TIMES, warm_start=NodePath(TIMES, before.path.positions + off)))
     fewer = NodePath(TIMES, before.path.positions[:, 1:])
-    assert factorisations(simulate(build_scene(rig), poses, TIMES, beside=fewer)) == factorisations(alone)
+    assert factorisations(simulate(build_scene(rig), poses, TIMES, warm_start=fewer)) == factorisations(alone)
 
 
 def test_a_path_serves_rollouts_with_other_steps(rig: Rig, poses: dict[str, PoseTrajectory], before: Trace) -> None:
     shorter = step_times(0.0, 1.2, 0.02)
     alone = simulate(build_scene(rig), poses, shorter)
-    same(alone, simulate(build_scene(rig), poses, shorter, beside=before.path))
+    same(alone, simulate(build_scene(rig), poses, shorter, warm_start=before.path))
 
 
 def test_derivatives_are_those_of_the_rollout_itself(rig: Rig, poses: dict[str, PoseTrajectory], before: Trace) -> None:
@@ -83,11 +83,11 @@ def test_derivatives_are_those_of_the_rollout_itself(rig: Rig, poses: dict[str, 
     along = [Direction(FRICTION, low, high, 2e-5)]
     scene = build_scene(with_parameters(rig, {FRICTION: 0.3}))
     _, alone = simulate_tangent(scene, poses, TIMES, along, settings=TIGHT)
-    trace, beside = simulate_tangent(scene, poses, TIMES, along, settings=TIGHT, beside=before.path, keep_path=True)
+    trace, warm = simulate_tangent(scene, poses, TIMES, along, settings=TIGHT, warm_start=before.path, keep_path=True)
     assert trace.path is not None and trace.path.positions.shape == before.path.positions.shape  # type: ignore[union-attr]
     for channel, slopes in alone.items():
         scale = float(np.nanmax(np.abs(slopes)))
-        np.testing.assert_allclose(beside[channel], slopes, atol=1e-5 * scale)
+        np.testing.assert_allclose(warm[channel], slopes, atol=1e-5 * scale)
 
 
 def test_the_path_is_where_the_nodes_were(rig: Rig, poses: dict[str, PoseTrajectory]) -> None:
