@@ -66,6 +66,14 @@ def test_markers_are_in_their_frame_where_the_simulation_has_them() -> None:
     assert ahead[2] == pytest.approx(0.2, rel=0.1), "the camera looks along z of its optical frame"
 
 
+def test_a_sensor_frame_is_placed_in_the_frame_of_its_body() -> None:
+    data = yaml.safe_load(rig_to_yaml(load_rig(str(STRIP))))
+    data["sensors"]["wrench_gel"] |= {"frame_id": "cell", "pose": {"position_m": [0.0, 0.001, 0.0005]}}
+    found = places(frames.urdf(parse_rig(data, "made")))
+    away = found["cell"][0] - found["gel"][0]
+    assert away == pytest.approx([0.0, -0.001, -0.0005], abs=1e-9), "the gel is upside down"
+
+
 def test_two_frames_with_one_name_at_two_places_are_refused() -> None:
     text = rig_to_yaml(load_rig(str(STRIP))).replace("frame_id: side", "frame_id: gel")
     with pytest.raises(ConfigError, match="two frames 'gel'"):
