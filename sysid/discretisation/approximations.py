@@ -2,7 +2,8 @@
 
 A prediction y differs from what a perfect simulation of the same physics would read by sum_e b_e E_e with known shapes
 E_e and b_e ~ N(m_e, t_e^2). What halving the cells, the time step, or the range of contacts changes tells the error
-that each of them leaves, extrapolated (:mod:`sysid.discretisation.refinement`), so that b_e is about 1. A sheet touches
+that each of them leaves, extrapolated (:mod:`sysid.discretisation.refinement`), so that b_e is about 1, and 0 where
+a recording was made by this very simulator. A sheet touches
 with its surface, half its thickness from its middle, or with its middle in simulations that take it as a line or a
 surface; what that changes is extrapolated from half of the way, so that b_e is between 0 and 1. How far the surface of
 a gel is dragged along depends on the boundary far away, where forces do not: a pad of three or six times its thickness
@@ -36,6 +37,7 @@ from sysid.model.responses import Modulated
 from sysid.model.time_span import rollout_times
 from sysid.observations.observations import Run
 from sysid.settings.discretisation import DISCRETISATION
+from sysid.settings.solve import SOLVE
 from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.named_errors import NamedError, NamedErrors
 from sysid.solve.optimum import Fitted
@@ -56,9 +58,10 @@ POSES = "poses"
 
 
 def sized(label: str) -> NamedError:
-    """A named error with the size that is expected of it."""
+    """A named error with the size that is expected of it: of mesh and time step, that which fits expect."""
     owner = label.split(",")[0]
-    return NamedError(owner, label, *DISCRETISATION.approximation_sizes[owner])
+    of_refinement = (SOLVE.expected_error_size, SOLVE.error_size_sd)
+    return NamedError(owner, label, *DISCRETISATION.approximation_sizes.get(owner, of_refinement))
 
 
 def refinement_errors(shapes: Sequence[ErrorShape]) -> NamedErrors:

@@ -49,8 +49,6 @@ class DiscretisationSettings:
     # named approximations
     approximation_sizes: Mapping[str, tuple[float, float]] = setting(
         {
-            "mesh": (1.0, 0.3),
-            "time step": (1.0, 0.3),
             "contact range": (1.0, 0.3),
             "touching surface": (0.5, 0.5),
             "gel extent": (0.0, 0.1),

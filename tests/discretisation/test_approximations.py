@@ -27,6 +27,7 @@ from sysid.model.time_span import rollout_times
 from sysid.observations.observations import Measured, Run
 from sysid.proof.truths import paths, strip
 from sysid.settings.discretisation import DISCRETISATION
+from sysid.settings.solve import SOLVE
 from sysid.solve.discretisation_basis import ErrorShape
 
 TIMES = [0.0, 0.06, 0.12, 0.2, 0.3]
@@ -60,9 +61,8 @@ def given(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[App
 def test_each_has_its_shape_and_its_size(given: Any) -> None:
     found, predictor, base, run = given
     assert [c.name for c in found.columns] == ["mesh", CONTACT_RANGE, TOUCHING_SURFACE]
-    assert [(c.mean, c.sd) for c in found.columns] == [
-        DISCRETISATION.approximation_sizes[n] for n in ("mesh", CONTACT_RANGE, TOUCHING_SURFACE)
-    ]
+    sizes = [DISCRETISATION.approximation_sizes[n] for n in (CONTACT_RANGE, TOUCHING_SURFACE)]
+    assert [(c.mean, c.sd) for c in found.columns] == [(SOLVE.expected_error_size, SOLVE.error_size_sd), *sizes]
     assert (found.shapes[0]["wrench"][..., 0] == 1.0).all()
     # The error of a range of contact is twice what half of it changes: it vanishes with the range.
     readings = base.predictions[0].values["wrench"]
@@ -164,4 +164,5 @@ def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
     change = 2.0 * (predictor.predict(lower, run).values["wrist"] - base.predictions[0].values["wrist"])
     shape = found.shapes[0]["wrist"][..., [c.name for c in found.columns].index(TOUCHING_SURFACE)]
     assert np.abs(change).max() > 1e-5
-    np.testing.assert_allclose(shape, change, atol=1e-5 * np.abs(change).max())
+    # Steps of a rollout that is made again are as solved, and not the same to the last digit.
+    np.testing.assert_allclose(shape, change, atol=1e-6 * np.abs(base.predictions[0].values["wrist"]).max())

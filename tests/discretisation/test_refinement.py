@@ -264,7 +264,7 @@ def test_a_later_search_that_fails_keeps_what_was_found(error: BaseException, ve
 
     engine, run = Linear(), run_of(measured(np.random.default_rng(0)))
     problem, fitted = fit(engine, run, search=search)
-    assert engine.refined == 2 and not fitted.converged and "was not searched on" in fitted.message
+    assert engine.refined == 2 and not fitted.converged and "did not go on" in fitted.message
     assert fitted.interrupted == isinstance(error, KeyboardInterrupt)
     np.testing.assert_array_equal(fitted.scaled, found[0].scaled)
     there = problem.evaluate(cast(Any, Vector(np.zeros(2))), PARAMETERS, fitted.scaled)

@@ -15,7 +15,7 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonMode
 from sysid.observations.observations import Measured, Run
 from sysid.solve.covariance import uncertainty
-from sysid.solve.discretisation_basis import MODEL, ErrorShape, added
+from sysid.solve.discretisation_basis import ErrorShape, added
 from sysid.solve.residuals import Problem
 
 MARKERS, FRAMES, RATE_HZ = 16, 60, 20.0
@@ -56,12 +56,12 @@ def pattern(seed: int) -> np.ndarray:
 
 @cache
 def case(rho: float) -> Case:
-    """An empty recording with a mesh error of four times the markers' own noise, and what careful models differ in."""
+    """An empty recording with a mesh error of four times the markers' own noise, and a tenth of the signal."""
     noise = channel_noise(rho)
     signal = 6.0 * PRESS[:, None] * pattern(1)
     shapes = [
         ErrorShape("mesh", ({"below": 4.0 * OWN_PX * PRESS[:, None] * pattern(2)},), mean=0.5, sd=0.5),
-        ErrorShape(MODEL, ({"below": 0.1 * signal},), mean=0.0, sd=1.0),
+        ErrorShape("time step", ({"below": 0.1 * signal},), mean=0.0, sd=1.0),
     ]
     measured = Measured("below", "tracks", T, PLACES + signal, tuple(f"m {k} u" for k in range(2 * MARKERS)))
     run = Run("press", "", (), {}, (measured,), float(T[-1]))

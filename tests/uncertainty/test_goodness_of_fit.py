@@ -11,7 +11,6 @@ import pytest
 
 from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
-from sysid.diagnosis.residual_analysis import structure
 from sysid.fit import FitOptions
 from sysid.fit.multistart import Evaluations, Searches
 from sysid.model.parallel_predictor import ParallelPredictor
@@ -141,7 +140,6 @@ def with_discretisation_error(times: float, rig: Any) -> tuple[Problem, Fitted]:
 def test_what_may_be_the_discretisation_error_is_not_spoken_of(small_rig: Any, times: float) -> None:
     problem, fitted = with_discretisation_error(times, small_rig())
     assert worst(problem, fitted) < 1.0 and unexplained(problem, fitted) == []
-    assert not structure(problem, fitted).missing
 
 
 def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discretisation_error(small_rig: Any) -> None:
@@ -155,7 +153,6 @@ def test_no_more_than_twice_of_what_a_refinement_shows_is_taken_for_the_discreti
     (said,) = unexplained(problem, fitted)
     assert f"{np.sqrt(found.misfit):.2g} times the noise in the position of gauge" in said
     assert "Twice the error of mesh" in said
-    assert structure(problem, fitted).missing
 
 
 def test_that_a_recording_may_be_of_another_rig_is_said_where_it_is_not_explained() -> None:
