@@ -51,7 +51,7 @@ from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged, interrupts_ignored, reason_of
 from sysid.solve.nonsmooth_trust_region import AT_KINK
 from sysid.solve.optimum import Fitted
-from sysid.solve.outliers import DIMENSIONS, WRENCH, Outliers, not_looked_for, without_outliers, worth_another_fit
+from sysid.solve.outliers import DIMENSIONS, WRENCH, Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import noise_multiples, unexplained
 from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances, nuisances_of, remarks, with_mean_nuisances
@@ -195,10 +195,8 @@ def _fit_runs(
     with interrupts_ignored():
         if options.robust:
             followed = [(score.run, score.prediction) for score in scores if score.prediction is not None]
-            seen, predictions = [*runs, *(r for r, _ in followed)], [*fitted.predictions, *(p for _, p in followed)]
             mistakes = [o for r, p in followed for o in without_outliers([r], [p], problem.noise)[1]]
             notes += [o.sentence for o in look.outliers] + [o.sentence_of_score for o in mistakes]
-            notes += not_looked_for(seen, predictions, problem.noise)
         result = FitResult(
             rig=rig.name,
             estimates=found.estimates,

@@ -19,10 +19,9 @@ What is far, the recording says: the least of these squared distances, of what i
 for a mixture of the noise and of a rare, wide scatter (a contaminated normal distribution, Tukey 1960), whose share and
 widths are found by expectation maximisation; a mistake is more probably of the latter.
 
-Nothing is left out where fewer than ``SOLVE.outlier_markers`` markers are seen, which are too few to compare, and where
-half of the readings are far from the model, among which none is an exception. What remains in doubt is a lone marker
-that is displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it. Diagnoses look
-at every reading all the same.
+Nothing is left out where fewer than ``SOLVE.outlier_markers`` markers are seen, which are too few to compare. How far a
+model is off has no part in it: readings are compared with what it misses before and after. What remains in doubt is a
+lone marker that is displaced for at most four frames and is so seldom: it is taken for a mistake, whatever moved it.
 """
 
 from __future__ import annotations
@@ -109,8 +108,7 @@ class Outliers:
 def without_outliers(
     runs: Sequence[Run], predictions: Sequence[Prediction], noise: Mapping[str, ChannelNoise]
 ) -> tuple[list[Run], list[Outliers]]:
-    """The runs with mistakes as missing, and what they are; ``noise``: of each channel. A channel that its prediction
-    does not follow (:func:`most_are_outlying`) stays as it is."""
+    """The runs with mistakes as missing, and what they are; ``noise``: of each channel."""
     clean, found = [], []
     for run, prediction in zip(runs, predictions, strict=True):
         measured = []
@@ -132,36 +130,9 @@ def _mask(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> Mas
     """Mistakes of a channel of any kind, by marker or component."""
     if measured.kind == WRENCH:
         return spikes(measured, predicted, noise.sigma)
-    if measured.kind not in DIMENSIONS or most_are_outlying(measured, predicted, noise):
+    if measured.kind not in DIMENSIONS:
         return np.zeros((len(measured.t), 0), dtype=bool)
     return mistakes(measured, predicted)
-
-
-def most_are_outlying(measured: Measured, predicted: np.ndarray, noise: ChannelNoise) -> bool:
-    """Whether half of the readings are more than ``SOLVE.outlier_sd`` noise deviations from the prediction ``(n, m)``,
-    as they are where a law is missing or wrong: it is then the model that stands out."""
-    d = DIMENSIONS[measured.kind]
-    miss = ((measured.values - predicted) / noise.sigma).reshape(len(measured.t), -1, d)
-    far = np.sqrt(_square(miss))
-    return bool(np.isfinite(far).any() and np.nanmedian(far) > SOLVE.outlier_sd)
-
-
-def not_looked_for(
-    runs: Sequence[Run], predictions: Sequence[Prediction], noise: Mapping[str, ChannelNoise]
-) -> list[str]:
-    """A sentence that names the channels in which no mistakes were looked for, if there are any."""
-    where = [
-        f"{run.name} ({m.channel})"
-        for run, prediction in zip(runs, predictions, strict=True)
-        for m in run.measured
-        if m.kind in DIMENSIONS and most_are_outlying(m, prediction.values[m.channel], noise[m.channel])
-    ]
-    if not where:
-        return []
-    return [
-        f"No marker readings are treated as outliers in {', '.join(where)}: half of them or more are over "
-        f"{SOLVE.outlier_sd:.0f} noise deviations from the model, so that no single one is an exception."
-    ]
 
 
 def worth_another_fit(before: Sequence[Run], after: Sequence[Run]) -> bool:

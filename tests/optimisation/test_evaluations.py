@@ -71,7 +71,6 @@ def test_a_fit_makes_no_more_evaluations_than_it_may(small_rig: Any, monkeypatch
     """Neither in restarts, which no misfit prevents here, nor in further looks, nor at the ends of intervals."""
     monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=0.0))
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
-    monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
     made, steps, free = fit_within(small_rig(), None)
     assert free.converged
@@ -102,7 +101,6 @@ def test_evaluations_that_fail_are_counted(small_rig: Any, monkeypatch: pytest.M
     """The first steps of a search, and starts of others, beyond what can be simulated."""
     monkeypatch.setattr(starts, "UNCERTAINTY", replace(UNCERTAINTY, good_misfit=0.0))
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
-    monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
 
     class Brittle(Counted):
         def predict_all(self, rig: Any, runs: Any, parameters: Any, scaled: np.ndarray) -> list[Prediction]:

@@ -81,7 +81,6 @@ def test_a_fit_that_is_not_repeated_to_its_end_is_kept(
 
     plain = fit.fit_with_discretisation_error
     monkeypatch.setattr(fit, "without_outliers", lambda runs, *given: (list(runs), []))
-    monkeypatch.setattr(fit, "not_looked_for", lambda *given: [])
     monkeypatch.setattr(fit, "worth_another_fit", lambda *given: True)
     monkeypatch.setattr(fit, "fit_with_discretisation_error", ending(error, 1, plain))
     looked = fitted_with(robust=True)
