@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.comparison import ledger
 from sysid.diagnosis.closures import Closure
-from sysid.discretisation.approximations import Approximations, of_instants, principal
+from sysid.discretisation.approximations import Approximations, of_instants, of_stamps, principal
 from sysid.model.predictor import Prediction
 from sysid.model.responses import Modulated
 from sysid.solve.named_errors import NamedError, NamedErrors
@@ -106,8 +106,10 @@ def named_errors(
     for run, p, directions, moved in zip(problem.runs, predictions, kept, motions, strict=True):
         found = {m.channel: np.nan_to_num(p.derivatives[m.channel]) for m in run.measured}
         open_.append({c: d[..., drawn] @ directions for c, d in found.items()})
-        if moved:
-            instant.append({m.channel: of_instants(m.t, moved, found[m.channel][..., shifted]) for m in run.measured})
+        own = {m.channel: [of_stamps(m.t, p.values[m.channel])] for m in run.measured}
+        for m in run.measured if moved else ():
+            own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))
+        instant.append({c: np.concatenate(parts, axis=1) for c, parts in own.items()})
     return approximations.with_motions(problem.runs, open_, [d.shape[1] for d in kept], instant)
 
 

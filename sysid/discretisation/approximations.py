@@ -15,7 +15,8 @@ follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings responds to tha
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
 b ~ N(0, 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of
-instants: what a body follows at once is an error of each instant besides (:func:`of_instants`).
+instants: what a body follows at once is an error of each instant besides (:func:`of_instants`). So is what readings
+change by while their stamps jitter (:func:`of_stamps`).
 """
 
 from __future__ import annotations
@@ -218,6 +219,16 @@ def of_instants(t: np.ndarray, motions: Sequence[Modulated], shifted: np.ndarray
     values, vectors = np.linalg.eigh(np.einsum("kin,kjn->nij", courses, courses))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
     return np.asarray((shifted @ root).transpose(0, 2, 1))
+
+
+def of_stamps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What stamps ``t`` [s] ``(n,)`` that jitter change of predicted readings ``(n, m)`` at each instant ``(n, 1, m)``,
+    for errors of unit variance: how fast they change, times the jitter by which intervals between stamps differ."""
+    if len(t) < 3:
+        return np.zeros((len(t), 0, values.shape[1]))
+    steps = np.diff(t)
+    jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
+    return np.asarray(jitter * np.nan_to_num(np.gradient(values, t, axis=0))[:, None])
 
 
 def principal(responses: np.ndarray) -> np.ndarray:

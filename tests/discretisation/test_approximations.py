@@ -18,6 +18,7 @@ from sysid.discretisation.approximations import (
     Approximations,
     _of_gel_extent,
     of_instants,
+    of_stamps,
     principal,
 )
 from sysid.discretisation.error_budget import with_half_range
@@ -122,6 +123,19 @@ def test_what_a_body_follows_at_once_is_an_error_of_each_instant(given: Any) -> 
     readings = draws @ shifted[k].T
     np.testing.assert_allclose(errors[k].T @ errors[k], readings.T @ readings, atol=1e-9 * (readings**2).sum())
     assert errors[k].any()
+
+
+def test_stamps_that_jitter_are_an_error_of_each_instant() -> None:
+    """Readings at other times than their stamps say are off by how fast they change; regular stamps have no jitter."""
+    rng = np.random.default_rng(0)
+    true = np.arange(0.0, 20.0, 0.033)
+    jitter = 1.5e-3
+    stamped = true + jitter * rng.standard_normal(len(true))
+    values = np.stack([np.sin(3.0 * stamped), np.cos(2.0 * stamped)], axis=1)
+    errors = of_stamps(stamped, values)
+    off = np.stack([np.sin(3.0 * true), np.cos(2.0 * true)], axis=1) - values
+    assert np.mean((off / errors[:, 0]) ** 2, where=np.abs(errors[:, 0]) > 1e-3) == pytest.approx(1.0, abs=0.25)
+    assert np.abs(of_stamps(true, values)).max() < 1e-9
 
 
 def test_the_extent_of_a_gel_scales_how_far_its_markers_are_dragged(small_rig: Callable[..., Rig]) -> None:
