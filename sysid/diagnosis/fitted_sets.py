@@ -8,6 +8,7 @@ was given: near a snap, or where the baseline has taken up part of an effect, on
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,7 @@ from sysid.diagnosis.look import Look, look
 from sysid.diagnosis.reference_model import added_at
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
+from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -189,17 +191,24 @@ class SetFits:
     def _glance(self, starts: Sequence[_Start]) -> np.ndarray:
         """What simulations at some starts leave, beside one linear step of the baseline's parameters."""
         problem, base = self._base.problem, self._base.fitted
-        jobs = []
-        for s in starts:
-            rigs = [rig_in(s.centre, s.parameters, s.scaled, run.name) for run in problem.runs]
-            jobs.append([problem.engine.submit(rig, run) for rig, run in zip(rigs, problem.runs, strict=True)])
+        jobs = [self._begun(s) for s in starts]
         found = []
         for s, row in zip(starts, jobs, strict=True):
             try:
-                found.append(_least(base, problem.assemble([job.result() for job in row], [], s.scaled).residual))
+                predictions = [job.result() for job in row or ()]
+                found.append(_least(base, problem.assemble(predictions, [], s.scaled).residual) if row else np.inf)
             except ThinshellError:
                 found.append(np.inf)
         return np.array(found)
+
+    def _begun(self, start: _Start) -> list[Future[Prediction]] | None:
+        """Rollouts of the recordings at a start; None where its effects act on nothing, as where friction is zero."""
+        problem = self._base.problem
+        try:
+            rigs = [rig_in(start.centre, start.parameters, start.scaled, run.name) for run in problem.runs]
+            return [problem.engine.submit(rig, run) for rig, run in zip(rigs, problem.runs, strict=True)]
+        except ThinshellError:
+            return None
 
 
 def _least(base: Fitted, residual: np.ndarray) -> float:

@@ -89,8 +89,13 @@ def as_predicted(check: Problem, fitted: Fitted) -> Problem:
     limits = np.array([p.scaled_bounds for p in parameters]).T
     rng = np.random.default_rng(0)
     draws = [np.clip(at + root @ z, *limits) for z in rng.standard_normal((DIAGNOSIS.drawn_predictions, len(at)))]
-    rigs = [[rig_in(fitted.rig, parameters, scaled, run.name) for run in check.runs] for scaled in draws]
-    jobs = [[check.engine.submit(rig, run) for rig, run in zip(row, check.runs, strict=True)] for row in rigs]
+    jobs = []
+    for scaled in draws:
+        try:
+            rigs = [rig_in(fitted.rig, parameters, scaled, run.name) for run in check.runs]
+            jobs.append([check.engine.submit(rig, run) for rig, run in zip(rigs, check.runs, strict=True)])
+        except ThinshellError:  # Effects of the rig that act on nothing there, as where friction is zero.
+            continue
     here = check.engine.predict_all(fitted.rig, check.runs, parameters, at)
     shapes = []
     for k, (run, p) in enumerate(zip(check.runs, here, strict=True)):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sim_core.effects import effect_by_name
-from sim_core.errors import ConvergenceError
+from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.rigs import Rig, parse_rig
 from sysid.diagnosis import baseline, candidates, held_out
 from sysid.diagnosis import diagnose as diagnosing
@@ -242,17 +242,20 @@ def test_what_the_mesh_may_hide_asks_for_finer_cells(
     assert [c.name for c in found.alternatives] == ["gel_relaxation"]
 
 
+@pytest.mark.parametrize("at_once", [False, True])
 @pytest.mark.parametrize("lost", ["shifted", "home"])
 def test_a_fit_begins_where_one_of_its_starts_can_be_simulated(
-    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, lost: str
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch, lost: str, at_once: bool
 ) -> None:
     """The baseline has a stiffness of its own, 18 % above that of the rig. With the law, simulations at one of the two
-    do not end before one at the other has."""
+    do not end before one at the other has, or do not begin, as where the law acts on nothing."""
     begun, submit = [False], Sums.submit
 
     def one_is_lost(engine: Sums, rig: Rig, run: Run, *rest: Any) -> Future[Prediction]:
         start = "home" if abs(stiffness(rig)) < 0.05 else "shifted"
         if strength(rig) > 0.0 and start == lost and not begun[0]:
+            if at_once:
+                raise ConfigError("It acts on nothing.", "Remove it.")
             future: Future[Prediction] = Future()
             future.set_exception(ConvergenceError("It does not converge.", "Begin elsewhere."))
             return future
