@@ -47,7 +47,8 @@ Tell = Callable[[float, str], None]
 class Baseline:
     """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
     by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
-    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none."""
+    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
+    ``undecided``: recordings that keep the time steps of the rig, since too much of them is not explained to tell."""
 
     problem: Problem
     fitted: Fitted
@@ -57,6 +58,7 @@ class Baseline:
     outliers: list[Outliers]
     notes: tuple[str, ...]
     reference: Reference | None
+    undecided: tuple[str, ...] = ()
 
     @property
     def engine(self) -> SpaceMappedPredictor:
@@ -64,9 +66,12 @@ class Baseline:
         return cast(SpaceMappedPredictor, self.problem.engine)
 
 
-def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
-    """Fit the baseline. Raises ``ThinshellError`` where a recording that is given cannot be simulated; ones held out
-    are left out then, with a note."""
+def fit_baseline(
+    engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell, *, short: bool = False
+) -> Baseline:
+    """Fit the baseline. ``short``: recordings that cannot tell which steps they follow have shorter ones. Raises
+    ``ThinshellError`` where a recording that is given cannot be simulated; ones held out are left out then, with a
+    note."""
     coarser = coarsened(rig)
     rig = rig if coarser is None else coarser.rig
     parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
@@ -104,8 +109,9 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         problem = problem_of(again)
         fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, fitted.scaled)
     shorter = None
+    undecided: tuple[str, ...] = ()
     if rig.solver.inertia:
-        runs, shorter = _shorter_steps(engine, problem, fitted, runs, noise)
+        runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise, short)
     if shorter is not None:
         tell(0.2, "baseline fit with shorter time steps")
         model = stands(fitted.scaled, shorter)
@@ -140,7 +146,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
-    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *notes), reference)
+    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *notes), reference, undecided)
 
 
 def beside_all_errors(base: Baseline, named: NamedErrors) -> Baseline:
@@ -224,20 +230,31 @@ def _is_far(fitted: Fitted) -> bool:
 
 
 def _shorter_steps(
-    engine: AnyEngine, problem: Problem, fitted: Fitted, runs: Sequence[Run], noise: dict[str, ChannelNoise]
-) -> tuple[list[Run], list[Prediction] | None]:
-    """The runs with shorter steps, and their predictions where a search stands, None where no step is shorter. A
-    recording that follows the steps of the rig keeps them, since it may be a simulation with these."""
+    engine: AnyEngine,
+    problem: Problem,
+    fitted: Fitted,
+    runs: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+    short: bool,
+) -> tuple[list[Run], list[Prediction] | None, tuple[str, ...]]:
+    """The runs with shorter steps, their predictions where a search stands, None where no step is shorter, and names of
+    those that cannot tell which they follow. A recording that follows the steps of the rig keeps them, since it may be
+    a simulation with these. So does one of which too much is not explained to tell, unless ``short``."""
     rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-    found = list(runs)
+    found, undecided = list(runs), []
     shorter, there = shorter_throughout(engine, rigs, runs, noise)
     known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
     for k, prediction in enumerate(there):
-        follow = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
-        if shorter[k] is not runs[k] and follow.refines:
+        if shorter[k] is runs[k]:
+            continue
+        share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
+        if share.surely_refines or (short and share.refines):
             found[k] = shorter[k]
+        elif share.refines:
+            undecided.append(runs[k].name)
     if all(a is b for a, b in zip(found, runs, strict=True)):
-        return found, None
+        return found, None, tuple(undecided)
     # Those of the fit hold what a reference model adds, which is added to these later.
     again = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is not shorter[k]}
-    return found, [again[k].result() if k in again else there[k] for k in range(len(runs))]
+    predictions = [again[k].result() if k in again else there[k] for k in range(len(runs))]
+    return found, predictions, tuple(undecided)

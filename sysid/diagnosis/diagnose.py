@@ -27,7 +27,7 @@ from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.report_notes import answers, candidates_of, fates, limits, named_parameters, notes
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
-from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
+from sysid.diagnosis.search import least_temper, leaves_misfit, ledger_with, searched
 from sysid.diagnosis.validation import beyond_noise, of_readings, seen_by_both
 from sysid.diagnosis.verdict import WHERE, Verdict, hidden_by_mesh, verdict_of
 from sysid.discretisation.refinement import error_sizes
@@ -62,20 +62,37 @@ def diagnose_runs(
     started = time.monotonic()
     tell = on_progress or (lambda share, text: None)
     with ParallelPredictor(os.cpu_count()) as engine:
-        tell(0.0, "first simulations")
-        base = fit_baseline(engine, rig, runs, held_out, tell)
-        tell(0.42, "a look at all effects")
-        fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
-        base = fits.base
-        fitted, found = searched(fits, lambda share, text: tell(0.55 + 0.4 * share, text))
+        fits, fitted, found = _searched(engine, rig, runs, held_out, tell)
+        if fits.base.undecided and leaves_misfit(ledger_with(fitted)):
+            # Too much was not explained to tell which time steps recordings follow, and with those of the rig is still.
+            again = _searched(engine, rig, runs, held_out, tell, short=True)
+            if least_temper(ledger_with(again[1])) < least_temper(ledger_with(fitted)):
+                fits, fitted, found = again
         tell(0.97, "report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
-        diagnosis, amended = _collect(rig, base, fits, fitted, found, ledger)
+        diagnosis, amended = _collect(rig, fits.base, fits, fitted, found, ledger)
     diagnosis.notes = (*said, *diagnosis.notes)
     diagnosis.parted = {run.name: run.parted for run in (*runs, *held_out) if run.parted}
     diagnosis.seconds = time.monotonic() - started
     tell(1.0, "done")
     return diagnosis, amended
+
+
+def _searched(
+    engine: ParallelPredictor,
+    rig: Rig,
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    tell: Progress,
+    *,
+    short: bool = False,
+) -> tuple[SetFits, list[FittedSet], Posterior]:
+    """The fits, the sets that were fitted, and the posterior. ``short``: as of :func:`fit_baseline`."""
+    tell(0.0, "first simulations")
+    base = fit_baseline(engine, rig, runs, held_out, tell, short=short)
+    tell(0.42, "a look at all effects")
+    fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
+    return fits, *searched(fits, lambda share, text: tell(0.55 + 0.4 * share, text))
 
 
 def ledger_of(

@@ -92,8 +92,12 @@ def _parts(
 def leaves_misfit(ledger: Ledger) -> bool:
     """Whether all columns together, where that is least, leave more than noise does."""
     chance = np.sqrt(2.0 / max(ledger.readings, 1))
-    least = min(temper_of(one) for one in (ledger, *ledger.amended))
-    return least > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
+    return least_temper(ledger) > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
+
+
+def least_temper(ledger: Ledger) -> float:
+    """Mean squared residual that all columns together leave, where that is least."""
+    return min(temper_of(one) for one in (ledger, *ledger.amended))
 
 
 def _simulated_best(fits: SetFits, found: Compared) -> list[tuple[str, ...]]:

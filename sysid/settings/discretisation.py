@@ -154,6 +154,16 @@ class DiscretisationSettings:
     largest_followed_share: float = setting(
         2.5, "1", "Share up to which it is one of these two models that recordings follow.", "judgement"
     )
+    follow_blocks: int = setting(
+        8, "1", "Parts of the time of a recording that tell of a share independently of each other.", "judgement"
+    )
+    confounded_sd_ratio: float = setting(
+        3.0,
+        "1",
+        "Standard deviation of a share as its parts of the time tell it, over that of noise alone, above "
+        "which what is missing decides on it.",
+        "judgement",
+    )
 
 
 DISCRETISATION = DiscretisationSettings()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
+from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.fitted_sets import SetFits
 from sysid.diagnosis.search import leaves_misfit, searched
 from sysid.settings.diagnosis import DIAGNOSIS
@@ -131,3 +132,32 @@ def test_where_no_columns_leave_noise_alone_single_effects_are_simulated() -> No
 def test_misfit_that_is_left_is_more_than_chance(square: float, left: bool) -> None:
     y = noise(6)
     assert leaves_misfit(ledger(y * np.sqrt(square / np.mean(y**2)), {})) == left
+
+
+@pytest.mark.parametrize(("undecided", "misfit", "tempers", "asked", "kept"), [
+    ((), True, {False: 5.0, True: 1.0}, [False], False),
+    (("run",), False, {False: 1.0, True: 1.0}, [False], False),
+    (("run",), True, {False: 5.0, True: 1.0}, [False, True], True),
+    (("run",), True, {False: 5.0, True: 6.0}, [False, True], False),
+])  # fmt: skip
+def test_shorter_steps_are_tried_where_nothing_leaves_noise_alone(
+    monkeypatch: pytest.MonkeyPatch, undecided: tuple[str, ...], misfit: bool, tempers: Any, asked: Any, kept: bool
+) -> None:
+    """Of recordings that could not tell which they follow; what leaves less is the diagnosis."""
+    made: list[bool] = []
+
+    def search(*given: Any, short: bool = False) -> Any:
+        made.append(short)
+        return SimpleNamespace(base=SimpleNamespace(undecided=undecided)), [short], None
+
+    answer = SimpleNamespace(notes=())
+    monkeypatch.setattr(diagnosing, "check_apart", lambda *_: None)
+    monkeypatch.setattr(diagnosing, "_searched", search)
+    monkeypatch.setattr(diagnosing, "ledger_with", lambda fitted: SimpleNamespace(short=fitted[0]))
+    monkeypatch.setattr(diagnosing, "leaves_misfit", lambda ledger: misfit)
+    monkeypatch.setattr(diagnosing, "least_temper", lambda ledger: tempers[ledger.short])
+    monkeypatch.setattr(diagnosing, "replace", lambda ledger, **_: ledger)
+    monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
+    monkeypatch.setattr(diagnosing, "_collect", lambda rig, base, fits, fitted, *_: (answer, fitted[0]))
+    _, chosen = diagnosing.diagnose_runs(cast(Any, None), [], [])
+    assert made == asked and chosen is kept

@@ -78,7 +78,8 @@ def test_a_modulus_that_takes_up_the_error_of_the_steps_is_found_out(fitted: Any
     two apart, and steps are shorter unless it tells otherwise."""
     engine, problem, found = fitted(0.0)
     assert float((found.scaled - engine.origin)[0]) == pytest.approx(2.0 / 300.0, rel=0.1)
-    (run,), predictions = _shorter_steps(engine, problem, found, problem.runs, problem.noise)
+    (run,), predictions, undecided = _shorter_steps(engine, problem, found, problem.runs, problem.noise, False)
+    assert not undecided
     assert predictions is not None
     (prediction,) = predictions
     assert run.steps is not None and np.diff(run.steps).max() == pytest.approx(0.005)
@@ -99,11 +100,33 @@ def test_each_recording_has_the_steps_that_it_follows(fitted: Any) -> None:
     noise = {"gauge": ChannelNoise(np.array([NOISE]), np.zeros(1), "given")}
     problem = Problem(runs, noise, engine, prior=True)
     there = problem.evaluate(rig, parameters, engine.origin)
-    found, predictions = _shorter_steps(engine, problem, there, runs, noise)
+    found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise, False)
+    assert not undecided
     assert predictions is not None
     assert found[0].steps is not None and found[1] is runs[1]
     for prediction, h in zip(predictions, (0.005, 0.01), strict=True):
         np.testing.assert_allclose(prediction.values["gauge"], vibration(0.0, h))
+
+
+def test_what_is_left_out_does_not_decide_on_the_steps(fitted: Any) -> None:
+    """A recording with the steps of the rig, and a slow vibration with it that no model has, which looks like shorter
+    steps here and like longer ones there."""
+    engine, _, there = fitted(0.01)
+    rig = there.centre
+    parameters = [replace(p, known_sd=1e-4) for p in fit_parameters(rig, NAMES)]
+    noise = {"gauge": ChannelNoise(np.array([NOISE]), np.zeros(1), "given")}
+    change = (vibration(0.0, 0.005) - vibration(0.0, 0.01))[:, 0]
+    beat = np.sign(np.sin(2.0 * np.pi * T))
+    beat -= np.sum(change**2 * beat) / np.sum(change**2)
+    for size, kept in ((0.0, False), (4.0, True)):
+        wanted = change * (0.8 + size * beat)
+        values = vibration(0.0, 0.01) + wanted[:, None] + NOISE * np.random.default_rng(3).standard_normal((len(T), 1))
+        runs = [Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("x",)),), float(T[-1]))]
+        problem = Problem(runs, noise, engine, prior=True)
+        there = problem.evaluate(rig, parameters, engine.origin)
+        found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise, False)
+        assert (predictions is None, found[0] is runs[0], undecided) == (kept, kept, ("run",) if kept else ())
+        assert _shorter_steps(engine, problem, there, runs, noise, True)[1] is not None
 
 
 def test_what_misses_a_sixth_of_the_readings_is_another_branch(fitted: Any) -> None:
