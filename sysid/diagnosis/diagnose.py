@@ -65,7 +65,9 @@ def diagnose_runs(
         fits, fitted, found = _searched(engine, rig, runs, held_out, tell)
         if fits.base.undecided and leaves_misfit(ledger_with(fitted)):
             # Too much was not explained to tell which time steps recordings follow, and with those of the rig is still.
-            again = _searched(engine, rig, runs, held_out, tell, short=True)
+            again = _searched(
+                engine, rig, runs, held_out, lambda _, text: tell(0.96, f"{text}, with shorter steps"), True
+            )
             if least_temper(ledger_with(again[1])) < least_temper(ledger_with(fitted)):
                 fits, fitted, found = again
         tell(0.97, "report")
@@ -84,7 +86,6 @@ def _searched(
     runs: Sequence[Run],
     held_out: Sequence[Run],
     tell: Progress,
-    *,
     short: bool = False,
 ) -> tuple[SetFits, list[FittedSet], Posterior]:
     """The fits, the sets that were fitted, and the posterior. ``short``: as of :func:`fit_baseline`."""

@@ -107,8 +107,9 @@ def named_errors(
         found = {m.channel: np.nan_to_num(p.derivatives[m.channel]) for m in run.measured}
         open_.append({c: d[..., drawn] @ directions for c, d in found.items()})
         own = {m.channel: [of_stamps(m.t, p.values[m.channel])] for m in run.measured}
-        for m in run.measured if moved else ():
-            own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))
+        if moved:
+            for m in run.measured:
+                own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))
         instant.append({c: np.concatenate(parts, axis=1) for c, parts in own.items()})
     return approximations.with_motions(problem.runs, open_, [d.shape[1] for d in kept], instant)
 

@@ -109,6 +109,13 @@ def notes(base: Baseline, chosen: Sequence[FittedSet]) -> tuple[str, ...]:
     said = [f"{run.name} does not begin at rest: {n}" for run in problem.runs for n in not_from_rest(fitted.rig, run)]
     if not fitted.converged:
         said.append(f"The baseline fit did not converge: {fitted.message}.")
+    if base.undecided:
+        names = " and ".join(base.undecided)
+        said.append(
+            f"{names}: the time steps are those of the rig. Readings change with shorter ones, but so much of them is not "
+            "explained without an effect that they cannot tell which they follow. Repeat the diagnosis with half the "
+            "solver.dt_s to see what depends on it."
+        )
     for one in chosen:
         if not one.fitted.converged:
             said.append(

@@ -194,6 +194,16 @@ def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller
     assert found.amended.held_out < found.baseline.held_out
 
 
+def test_recordings_that_cannot_tell_their_time_steps_are_named(
+    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They keep those of the rig, which a reader has to know."""
+    plain = diagnosing.fit_baseline
+    monkeypatch.setattr(diagnosing, "fit_baseline", lambda *a, **k: replace(plain(*a, **k), undecided=("press",)))
+    found = diagnose(lambda rig, run, fine: read(rig) + (0.02 * RIPPLE if fine else 0.0))
+    assert any(n.startswith("press: the time steps are those of the rig") and "solver.dt_s" in n for n in found.notes)
+
+
 def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., Diagnosis]) -> None:
     """The last fifth of the readings is off, and out of sight with the effect."""
 
