@@ -14,7 +14,7 @@ SHARE = Path(__file__).resolve().parent.parent
 
 def generate_launch_description() -> LaunchDescription:
     """The node that fits; it waits to be asked."""
-    told = {"rig": given("rig"), "bag_uri": given("bag"), "output_dir": given("output_dir")}
+    parameters = {"rig": given("rig"), "bag_uri": given("bag"), "output_dir": given("output_dir")}
     return LaunchDescription(
         [
             *arguments(
@@ -24,6 +24,6 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=("[strip.E]", "what to estimate, a list"),
                 output_dir=("fits", "folder of the results"),
             ),
-            *node(SHARE, "sysid_node", {**told, "fit.parameters": given("parameters", None)}),
+            *node(SHARE, "sysid_node", {**parameters, "fit.parameters": given("parameters", None)}),
         ]
     )

@@ -20,7 +20,7 @@ SHARE = Path(__file__).resolve().parent.parent
 def generate_launch_description() -> LaunchDescription:
     """The node that replays, which waits to be configured, and the simulator where ``simulate`` is true."""
     simulated = IfCondition(LaunchConfiguration("simulate"))
-    told = {"rig": given("rig"), "trajectory_uri": given("trajectory"), "record_uri": given("bag")}
+    parameters = {"rig": given("rig"), "trajectory_uri": given("trajectory"), "record_uri": given("bag")}
     # A simulation that is slow takes the replay with it.
     paced = {"speed_scale": given("speed_scale", float), "use_sim_time": given("simulate", bool)}
     return LaunchDescription(
@@ -40,7 +40,7 @@ def generate_launch_description() -> LaunchDescription:
             *node(
                 SHARE,
                 "replay_node",
-                {**told, **paced, "dry_run": given("dry_run", bool)},
+                {**parameters, **paced, "dry_run": given("dry_run", bool)},
                 remappings=[(topic, LaunchConfiguration(topic)) for topic in ("target_pose", "current_pose")],
             ),
         ]

@@ -32,8 +32,8 @@ __all__ = [
 def pytest_configure(config: pytest.Config) -> None:
     """One thread of linear algebra a process, and the variation that :mod:`variations` asks for.
 
-    Where Python is told to keep no bytecode, as it is in many containers, every process that a test starts would
-    compile all that it imports: those keep it in a folder beside, all in the same.
+    Where Python is set to keep no bytecode, as it is in many containers, every process that a test starts would
+    compile all that it imports: those keep it in one folder.
     """
     threadpool_limits(1)
     variations.vary()

@@ -227,7 +227,7 @@ class Evidence:
         return found
 
     def fitted_amplitudes(self, chosen: Directions) -> list[Amplitude]:
-        """Posterior of each parameter of the effects that the ledger is linearised with, beside directions."""
+        """Posterior of each parameter of the effects that the ledger is linearised with, jointly with directions."""
         own, count = self._combinations[: len(self._own), chosen.index], len(self._base)
         maps = np.zeros((len(self._whole), count + len(chosen.index) + 1))
         maps[self._base, np.arange(count)] = 1.0
@@ -251,7 +251,7 @@ class Evidence:
         return covariance @ self.slope[k], covariance
 
 
-def beside(ledger: Ledger, wanted: np.ndarray) -> np.ndarray:
+def residual_products(ledger: Ledger, wanted: np.ndarray) -> np.ndarray:
     """Products ``(k, k)`` of columns of a ledger less what parameters and approximations take up."""
     base = np.flatnonzero(np.isin([c.kind for c in ledger.columns], PLAIN))
     precision = np.array([ledger.columns[k].prior_sd for k in base]) ** -2.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.comparison.evidence import beside
+from sysid.comparison.evidence import residual_products
 from sysid.comparison.ledger import Block, Column, Ledger
 
 LARGEST = 3.0
@@ -35,7 +35,7 @@ class Concealer:
     def __init__(self, ledger: Ledger) -> None:
         self._columns = ledger.columns
         self._places = np.array([k for k, c in enumerate(ledger.columns) if c.kind in ("effect", "concealed")])
-        self._information = beside(ledger, self._places)
+        self._information = residual_products(ledger, self._places)
         self.shapes: dict[str, list[str]] = {}
         drawn = {c.owner for c in ledger.columns if c.kind == "concealed"}
         for k in self._places:

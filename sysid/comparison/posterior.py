@@ -2,7 +2,7 @@
 
 A model is a set of at most three causes, effects of the library and places with unknown physics, each with one of its
 explanations (:mod:`sysid.comparison.explanations`), whose directions the Bayes factor is of
-(:mod:`sysid.comparison.evidence`). An effect is no cause beside unknown physics of its own place, which has its
+(:mod:`sysid.comparison.evidence`). An effect is no cause together with unknown physics of its own place, which has its
 columns. Causes are missing independently of each other but for weights that are learnt
 (:mod:`sysid.comparison.priors`). All single ones are computed, pairs with the most probable of them, and triples with
 the most probable pairs, the latter with the best explanations only. The temper is the mean squared residual that all
@@ -189,7 +189,7 @@ def _less(cause: Cause, effects: set[str]) -> Cause:
 
 
 def _sets(evidence: Evidence, causes: dict[str, Cause], weights: np.ndarray, most: int) -> list[Candidate]:
-    """Nothing, and sets of up to so many causes beside what a ledger is linearised with."""
+    """Nothing, and sets of up to so many causes in addition to what a ledger is linearised with."""
     places = {name: c.place for name, c in causes.items()}
     singles = [_joined(evidence, [c], [e]) for c in causes.values() for e in c.explanations] if most > 0 else []
     doubles: list[Candidate] = []
@@ -218,7 +218,7 @@ def _sets(evidence: Evidence, causes: dict[str, Cause], weights: np.ndarray, mos
 
 
 def _fits(found: Candidate, fitted: dict[str, str], places: dict[str, str]) -> bool:
-    """Whether causes may be missing beside effects that are fitted."""
+    """Whether causes may be missing in addition to effects that are fitted."""
     return _apart((*fitted, *found.names), places)
 
 
@@ -271,7 +271,7 @@ def _chosen(found: Sequence[Candidate], fitted: Sequence[set[str]]) -> list[Cand
 
 
 def _mixed(found: Candidate, causes: dict[str, Cause]) -> Candidate | None:
-    """Unknown physics that looks like the effects of one place of a set, beside the rest of it; None where no two
+    """Unknown physics that looks like the effects of one place of a set, with the rest of it; None where no two
     effects have a place in common. All mixtures of as many effects of a place are equally probable."""
     of = [causes[n].place for n in found.names]
     place = max(of, key=of.count, default="")

@@ -17,9 +17,9 @@ from scipy.stats import norm
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
-from sysid.diagnosis.beliefs import believed, open_parameters
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.held_out import as_predicted, held_out_problem
+from sysid.diagnosis.known_priors import open_parameters, with_known_priors
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.discretisation.approximations import refinement_errors
 from sysid.discretisation.coarser_cells import coarsened
@@ -74,7 +74,7 @@ def fit_baseline(
     note."""
     coarser = coarsened(rig)
     rig = rig if coarser is None else coarser.rig
-    parameters = believed(rig, fit_parameters(rig, open_parameters(rig)))
+    parameters = with_known_priors(rig, fit_parameters(rig, open_parameters(rig)))
     parameters += nuisance_parameters(rig, runs, parameters, KINDS)
     start = start_of(rig, parameters)
     noise = channel_noise(rig, runs, held_out)
@@ -86,7 +86,7 @@ def fit_baseline(
         runs, own = predicted_with_steps(engine, rigs, runs, noise)
     tell(0.04, "cells and extent of gels")
     sparing = SparingPredictor(engine)
-    reference, added, told = reference_for(sparing, rig, parameters, runs, held_out, noise, coarser)
+    reference, added, warnings = reference_for(sparing, rig, parameters, runs, held_out, noise, coarser)
     tell(0.08, "error of mesh and time step")
 
     def stands(scaled: np.ndarray, own: Sequence[Prediction], known: Added | None = None) -> Standing:
@@ -103,7 +103,7 @@ def fit_baseline(
     problem = problem_of(clean)
     tell(0.15, "baseline fit")
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
-    # While the model was far off, no reading could be told to be a mistake, and chi-square was that of the mistakes.
+    # While the model was far off, no mistake could be recognised, and chi-square was that of mistakes.
     again, _ = without_outliers(runs, fitted.predictions, noise)
     if worth_another_fit(clean, again):
         problem = problem_of(again)
@@ -146,12 +146,12 @@ def fit_baseline(
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
-    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *told, *notes), reference, undecided)
+    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *warnings, *notes), reference, undecided)
 
 
-def beside_all_errors(base: Baseline, named: NamedErrors) -> Baseline:
-    """The baseline fitted on beside all named errors, of which it had those of mesh and time step alone."""
-    problem, model = base.problem.beside(named), base.fitted
+def with_all_named_errors(base: Baseline, named: NamedErrors) -> Baseline:
+    """The baseline fitted on with all named errors, of which it had those of mesh and time step alone."""
+    problem, model = base.problem.with_named(named), base.fitted
     problem.engine = SparingPredictor(base.engine)
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, model.centre, model.parameters, model.scaled)
     problem.engine = base.engine

@@ -62,7 +62,7 @@ class Closure:
 
 
 class Closures:
-    """The closures of all slots of a rig in a problem, beside ``predictions`` of its recordings. ``columns``: in the
+    """The closures of all slots of a rig in a problem, given ``predictions`` of its recordings. ``columns``: in the
     order of what :meth:`append` adds."""
 
     def __init__(self, rig: Rig, problem: Problem, predictions: Sequence[Prediction]) -> None:

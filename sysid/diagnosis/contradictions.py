@@ -11,13 +11,13 @@ from sysid.solve.optimum import Fitted
 
 @dataclass(frozen=True)
 class Contradiction:
-    """``value``, ``told``: in ``unit``, as fitted and as the rig says; ``deviations``: their distance, in standard
+    """``value``, ``nominal``: in ``unit``, as fitted and as the rig says; ``deviations``: their distance, in standard
     deviations of what was known before."""
 
     name: str
     unit: str
     value: float
-    told: float
+    nominal: float
     deviations: float
 
     @property

@@ -24,7 +24,7 @@ from sysid.diagnosis.baseline import Baseline, fit_baseline
 from sysid.diagnosis.candidates import drawn_shapes, recording_scales
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits
 from sysid.diagnosis.next_motion import in_words, proposed
-from sysid.diagnosis.report_notes import answers, candidates_of, fates, limits, named_parameters, notes
+from sysid.diagnosis.report_notes import candidates_of, is_in_answer, limits, named_parameters, notes, outcome_by_effect
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
 from sysid.diagnosis.search import least_temper, leaves_misfit, ledger_with, searched
@@ -117,7 +117,7 @@ def ledger_of(
 
 
 def _missed_there(base: Baseline, before: Misfit) -> str:
-    """That recordings held out are missed by far by a baseline that was not fitted to them, beside all that it leaves
+    """That recordings held out are missed by far by a baseline that was not fitted to them, given all that it leaves
     open of them; else empty."""
     if base.there is None or base.there.misfit <= UNCERTAINTY.failed_noise_multiple**2:
         return ""
@@ -133,7 +133,7 @@ def _judged(base: Baseline, fitted: Sequence[FittedSet], found: Posterior, ledge
         return replace(verdict, kind="recording_fault" if faulty else "unknown" if missed else "nothing_missing")
     if hidden_by_mesh(ledger):
         return replace(verdict, kind="refine_discretisation")
-    if verdict.kind in ("named", "one_of") and not any(answers(one, verdict) for one in fitted):
+    if verdict.kind in ("named", "one_of") and not any(is_in_answer(one, verdict) for one in fitted):
         return replace(verdict, kind="unknown")
     if verdict.kind in ("named", "one_of") and leaves_misfit(ledger):
         return replace(verdict, kind="partly")
@@ -149,7 +149,7 @@ def _collect(
     verdict = _judged(base, fitted, found, ledger, bool(missed))
     asks = verdict.kind in ("named", "one_of", "partly", "unknown")
     chances = {m.effects: m.probability for m in found.models}
-    chosen = sorted((one for one in fitted if answers(one, verdict)), key=lambda one: -chances.get(one.names, 0.0))
+    chosen = sorted((one for one in fitted if is_in_answer(one, verdict)), key=lambda one: -chances.get(one.names, 0.0))
     answer = chosen[0] if chosen and verdict.kind in ("named", "one_of", "partly") else None
     located = locate(base.problem, base.fitted, answer.fitted if answer else None)
     if verdict.kind == "nothing_missing":
@@ -168,7 +168,7 @@ def _collect(
     motion = proposed(rig, base.problem, base.fitted, numbers) if asks else None
     advice = [words.next_experiment(verdict), *([in_words(rig, motion, numbers)] if motion else [])]
     explained = beyond_noise(base.fitted, answer.fitted) if answer else 0.0
-    became = fates(rig, verdict, fits.failed)
+    became = outcome_by_effect(rig, verdict, fits.failed)
     faults = [o.sentence for o in base.outliers if o.kept]
     diagnosis = Diagnosis(
         verdict=verdict.kind,
@@ -212,7 +212,7 @@ def _places(verdict: Verdict) -> tuple[UnreliablePlace, ...]:
 
 
 def _misfit(base: Baseline, fitted: Fitted, there: Fitted | None) -> Misfit:
-    """Misfit of a model, with the errors of the baseline beside its own."""
+    """Misfit of a model, with the errors of the baseline next to its own."""
     both = seen_by_both(base.check, base.there, there)
     errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=error_sizes(base.problem))
     if base.there is not None and there is not None:

@@ -18,7 +18,7 @@ from sim_core.effects import RecordingScales
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.comparison.ledger import Ledger
-from sysid.diagnosis.baseline import Baseline, beside_all_errors, with_own_derivatives
+from sysid.diagnosis.baseline import Baseline, with_all_named_errors, with_own_derivatives
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.look import Look, look
@@ -80,14 +80,14 @@ class SetFits:
         approximations = Approximations(base.engine, base.fitted, base.problem)
         wanted = [*hypotheses(base.fitted.rig, scales), *shapes]
         self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
-        self._base, self._scales = beside_all_errors(base, self._responses.named), scales
+        self._base, self._scales = with_all_named_errors(base, self._responses.named), scales
         self.failed = dict(self._responses.failed)
         base = self._base
         self.baseline = FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
 
     @property
     def base(self) -> Baseline:
-        """The baseline beside all named errors."""
+        """The baseline with all named errors."""
         return self._base
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
@@ -100,8 +100,8 @@ class SetFits:
         return [wanted[k] for k in order if np.isfinite(left[k])]
 
     def fit(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float) -> FittedSet | None:
-        """A set of effects fitted beside those of ``begun``, from the best of several starts, each with shapes from a
-        look at it; None, and why in ``failed``, where that cannot be simulated."""
+        """A set of effects fitted together with those of ``begun``, from the best of several starts, each with shapes
+        from a look at it; None, and why in ``failed``, where that cannot be simulated."""
         name = " and ".join(e for e, _ in wanted[0])
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)]
         left = self._glance(starts)
@@ -189,7 +189,7 @@ class SetFits:
         return found
 
     def _glance(self, starts: Sequence[_Start]) -> np.ndarray:
-        """What simulations at some starts leave, beside one linear step of the baseline's parameters."""
+        """What simulations at some starts leave after one linear step of the baseline's parameters."""
         problem, base = self._base.problem, self._base.fitted
         jobs = [self._begun(s) for s in starts]
         found = []

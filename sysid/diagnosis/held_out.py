@@ -38,7 +38,7 @@ def held_out_problem(
     held_out: Sequence[Run],
     reference: Reference | None = None,
 ) -> tuple[Problem, tuple[str, ...]]:
-    """The held-out recordings that the fitted rig can follow, without mistakes, beside the errors of their own."""
+    """The held-out recordings that the fitted rig can follow, without mistakes, with the errors of their own."""
     kept: list[Run] = []
     found: list[Standing] = []
     lost: list[str] = []
@@ -71,7 +71,7 @@ def _of_all(shapes: Sequence[Sequence[ErrorShape]]) -> list[ErrorShape]:
 
 
 def as_predicted(check: Problem, fitted: Fitted) -> Problem:
-    """The problem of recordings held out beside what a fit leaves open of their prediction."""
+    """The problem of recordings held out, given what a fit leaves open of their prediction."""
     if not check.runs or check.named is None or not fitted.parameters:
         return check
     shared = [k for k, p in enumerate(fitted.parameters) if not p.bag]
@@ -115,4 +115,4 @@ def as_predicted(check: Problem, fitted: Fitted) -> Problem:
     for mine, more in zip(named.shapes, shapes, strict=True):
         wide = {c: np.pad(s, ((0, 0), (0, 0), (0, count - s.shape[-1]))) for c, s in more.items()}
         whole.append({c: np.concatenate([s, wide[c]], axis=-1) for c, s in mine.items()})
-    return check.beside(NamedErrors(columns, tuple(whole), named.refined, named.instant))
+    return check.with_named(NamedErrors(columns, tuple(whole), named.refined, named.instant))

@@ -1,4 +1,4 @@
-"""Whitened rows of recordings, and what a ledger has beside a look at effects: closures and named approximations.
+"""Whitened rows of recordings, and what a ledger has besides a look at effects: closures and named approximations.
 
 The error of mesh, time step, contact and poses are columns of a ledger, with the priors that they have in fits.
 """
@@ -68,15 +68,15 @@ def rows_of(
 ) -> list[Rows]:
     """Rows of the recordings of a problem. ``index``: of the derivatives that are wanted; ``further``: columns
     ``(n, m, k)`` after these, by recording and channel."""
-    beside = []
+    amended = []
     for run, p, more in zip(problem.runs, predictions, further, strict=True):
         derivatives = {}
         for m in run.measured:
             out = np.concatenate([p.derivatives[m.channel][..., index], more[m.channel]], axis=-1)
             derivatives[m.channel] = np.where(np.isnan(p.values[m.channel])[..., None], 0.0, np.nan_to_num(out))
-        beside.append(Prediction(p.values, derivatives, p.trace))
-    width = next(iter(beside[0].derivatives.values())).shape[-1]
-    assembled = problem.assemble(beside, [str(k) for k in range(width)], base.scaled)
+        amended.append(Prediction(p.values, derivatives, p.trace))
+    width = next(iter(amended[0].derivatives.values())).shape[-1]
+    assembled = problem.assemble(amended, [str(k) for k in range(width)], base.scaled)
     owner = np.concatenate([np.full(len(times), i) for i, _, times in assembled.labels])
     instants = np.concatenate([times for _, _, times in assembled.labels])
     # The rows of a channel are its readings, then the coefficients of what was eliminated.

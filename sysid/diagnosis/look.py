@@ -112,7 +112,7 @@ def look(
     wanted: Sequence[Hypothesis],
     approximations: Approximations,
 ) -> Responses:
-    """Look at hypotheses beside a model that is fitted to the recordings of a problem."""
+    """Look at hypotheses from a model that is fitted to the recordings of a problem."""
     closures = Closures(fitted.rig, problem, fitted.predictions)
     sized = [column for h in wanted for column in h.columns()]
     motions = [approximations.open_motions(i, r) for i, r in enumerate(problem.runs)]

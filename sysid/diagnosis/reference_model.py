@@ -100,7 +100,7 @@ def reference_for(
     extended, there = rig, own
     notes: list[str] = []
     fine: list[Prediction] | None = None
-    told: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     try:
         if wide is not None:
             here = _all(engine, wide.rig, runs)
@@ -117,12 +117,12 @@ def reference_for(
     except ThinshellError as error:
         if coarser is not None:
             raise
-        mesh, told = None, (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
+        mesh, warnings = None, (f"The cells of the rig are kept: with finer ones, simulations do not end. {error}",)
     if mesh is None or fine is None:
         reference = None if extended is rig else Reference(extended, None, tuple(notes))
-        return reference, None if reference is None else Added(additions(runs, own, there), None), told
+        return reference, None if reference is None else Added(additions(runs, own, there), None), warnings
     error_there = error_of_coarser_cells(fine, there, mesh.finer)
-    return Reference(extended, mesh, tuple(notes)), Added(additions(runs, own, fine), error_there), told
+    return Reference(extended, mesh, tuple(notes)), Added(additions(runs, own, fine), error_there), warnings
 
 
 def _extends(
@@ -134,7 +134,7 @@ def _extends(
     noise: dict[str, ChannelNoise],
     known: np.ndarray,
 ) -> bool:
-    """Whether recordings follow wide pads. What they seem to tell of these is asked again beside finer cells, which may
+    """Whether recordings follow wide pads. What they seem to tell of these is asked again with finer cells, which may
     change the readings alike, of the recording in which wide pads change most."""
     if not follows(runs, own, [wide], noise, known)[0].extends:
         return False
@@ -182,8 +182,8 @@ def added_at(
     same = all(reference.coarser(rig) == rig for rig in rigs)
     coarse = [] if same else [engine.submit(reference.coarser(rig), run) for rig, run in pairs]
     there = [job.result() for job in fine]
-    beside = [job.result() for job in coarse] or list(own)
-    return Added(additions(runs, own, there), error_of_coarser_cells(there, beside, reference.mesh.finer))
+    coarser = [job.result() for job in coarse] or list(own)
+    return Added(additions(runs, own, there), error_of_coarser_cells(there, coarser, reference.mesh.finer))
 
 
 def _all(engine: AnyEngine, rig: Rig, runs: Sequence[Run]) -> list[Prediction]:

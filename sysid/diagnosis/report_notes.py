@@ -40,14 +40,14 @@ def candidates_of(
         model = sizes.get(one.names)
         for h in one.hypotheses:
             into = named if h.effect.name in verdict.answer else rest
-            if h.effect.name not in into and (into is rest or answers(one, verdict)):
+            if h.effect.name not in into and (into is rest or is_in_answer(one, verdict)):
                 chance = verdict.effects.get(h.effect.name, 0.0)
                 factor = model.log_bayes_factor if model else -np.inf
                 into[h.effect.name] = _candidate(base, one, h, chance, float(max(factor, -1e9)))
     return tuple(named.values()), tuple(rest.values())
 
 
-def answers(one: FittedSet, verdict: Verdict) -> bool:
+def is_in_answer(one: FittedSet, verdict: Verdict) -> bool:
     """Whether a fitted set is what the verdict says is missing, or may be."""
     chosen = verdict.sets if verdict.kind == "one_of" else verdict.sets[:1]
     return any(one.names and set(one.names) == set(s.effects) for s in chosen)
@@ -94,7 +94,7 @@ def limits(plain: FittedSet, temper: float, named: Sequence[str]) -> dict[str, f
     return {name: value for name, value in found.items() if name not in lost}
 
 
-def fates(rig: Rig, verdict: Verdict, failed: Mapping[str, str]) -> dict[str, str]:
+def outcome_by_effect(rig: Rig, verdict: Verdict, failed: Mapping[str, str]) -> dict[str, str]:
     """What became of each effect of the library that the rig may lack, in a few words."""
     present = {split_key(key)[0] for key in rig.effects}
     apply = [e.name for e in all_effects().values() if e.name not in present and e.variants(rig)]
@@ -112,9 +112,9 @@ def notes(base: Baseline, chosen: Sequence[FittedSet]) -> tuple[str, ...]:
     if base.undecided:
         names = " and ".join(base.undecided)
         said.append(
-            f"{names}: the time steps are those of the rig. Readings change with shorter ones, but so much of them is not "
-            "explained without an effect that they cannot tell which they follow. Repeat the diagnosis with half the "
-            "solver.dt_s to see what depends on it."
+            f"{names}: the time steps are those of the rig. Readings change with shorter ones, but so much of them is "
+            "not explained without an effect that they cannot tell which they follow. Repeat the diagnosis with half "
+            "the solver.dt_s to see what depends on it."
         )
     for one in chosen:
         if not one.fitted.converged:
@@ -158,7 +158,7 @@ def notes(base: Baseline, chosen: Sequence[FittedSet]) -> tuple[str, ...]:
             value = f"{p.physical(scaled):.4g} {p.unit}".rstrip()
             said.append(f"The baseline ends at the bound of {p.name}, {value}; that itself needs explaining.")
     said += [
-        f"The baseline needs {c.name} = {c.fitted} where the rig says {c.told:.4g}, {c.deviations:.1f} times as far "
+        f"The baseline needs {c.name} = {c.fitted} where the rig says {c.nominal:.4g}, {c.deviations:.1f} times as far "
         "off as is known of it; that itself needs explaining."
         for c in contradictions(fitted)
         if c.name not in bound

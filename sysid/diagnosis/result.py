@@ -104,14 +104,14 @@ class Misfit:
 
 
 def missed_multiples(errors: Sequence[ChannelError], held_out: bool) -> dict[str, float]:
-    """By how many times their noise quantities of the recordings given, or of those held out, are missed beside twice
-    the error of mesh and time step, by their names."""
+    """By how many times their noise quantities of the recordings given, or of those held out, are missed in excess
+    of twice the error of mesh and time step, by their names."""
     multiples: dict[str, float] = {}
     for e in errors:
         if e.held_out == held_out and e.after_over_noise is not None:
             words = f"the {e.quantity or 'position'} of {e.channel}"
-            beside = float(np.sqrt(max(e.after**2 - (2.0 * e.own) ** 2, 0.0))) / e.noise
-            multiples[words] = max(multiples.get(words, 0.0), beside)
+            excess = float(np.sqrt(max(e.after**2 - (2.0 * e.own) ** 2, 0.0))) / e.noise
+            multiples[words] = max(multiples.get(words, 0.0), excess)
     return multiples
 
 
@@ -123,7 +123,7 @@ class Diagnosis:
     an effect has at most (95 %) if it alone is missing, of effects that are not the answer; ``explained``: share of the
     misfit beyond noise that is gone with the answer, of the recordings given; ``places``: where something is missing,
     the most probable first, where that is no effect of the library alone; ``tried``: what became of each effect;
-    ``notes``: what a reader should know of the fit; ``next_motion``: the next experiment, where it can be told as a
+    ``notes``: what a reader should know of the fit; ``next_motion``: the next experiment, where it can be given as a
     motion; ``setups_tried``: mistakes of set-up that were tried first, in words (:mod:`sysid.setup_check`);
     ``ledger``: what the posterior is of; ``parted``: of recordings of replays, the windows [s] in which the watch
     found readings that were not as predicted.

@@ -122,7 +122,7 @@ def _best(found: Compared, names: tuple[str, ...]) -> list[Candidate]:
 
 
 def _shapes(found: Compared, names: tuple[str, ...]) -> list[Shapes]:
-    """The most probable shapes of the effects of a set beside those that are fitted where it was compared."""
+    """The most probable shapes of the effects of a set besides those that are fitted where it was compared."""
     best = _best(found, names)
     inside = _fitted_names(best[0])
     shapes = [

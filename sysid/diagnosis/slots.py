@@ -43,7 +43,7 @@ def mechanical_slots(rig: Rig) -> list[tuple[Slot, list[str]]]:
         elif isinstance(body, Sheet):
             found.append((Slot("sheet", name, f"the stiffness of {name} changes"), [f"{name}.E_pa"]))
             if rig.solver.inertia or any(rig.gravity_m_s2):
-                mass = Slot("environment", name, f"what pulls and holds {name} beside elasticity changes")
+                mass = Slot("environment", name, f"what pulls and holds {name} besides elasticity changes")
                 found.append((mass, [f"{name}.density_kg_m3"]))
     for contact in rig.contacts:
         if contact.friction > 0.0:

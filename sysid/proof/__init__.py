@@ -1,4 +1,4 @@
-"""Proof on concealed physics: make sealed cases, diagnose them blind, then score the answers.
+"""Proof on concealed physics: make sealed cases, diagnose them blind, then score the diagnoses.
 
 Only :mod:`sysid.proof.generator` and :mod:`sysid.proof.truths` know how cases are made; they are imported by
 :func:`make_cases` and :func:`record_cases` alone.
@@ -102,14 +102,14 @@ def form_error_table(folder: Path) -> str:
 
 
 def keep_shard(folder: Path, out: Path) -> str:
-    """Copy seal, truth, answers and score, without recordings and reports, to be kept beside the code."""
+    """Copy seal, truth, diagnoses and score, without recordings and reports, to be kept with the code."""
     from sysid.proof.keep import keep_shard as keep
 
     return keep(folder, out)
 
 
 def score_cases(folder: Path) -> str:
-    """Unseal the truth and compare it with the answers."""
+    """Unseal the truth and compare it with the diagnoses."""
     from sysid.proof.score import score_cases as score
 
     return score(folder)

@@ -1,6 +1,6 @@
 """What a simulator is off in recordings of another formulation, by named approximation, from ledgers of empty cases.
 
-Beside the parameters of a rig, which take up what they can, the size of an approximation with the columns E is
+Projected off the parameters of a rig, which take up what they can, an approximation with the columns E has the size
 (tr E^T M E)^(1/2), with M what parameters leave of the identity: by how many standard deviations of the noise readings
 are off if it has its whole size. Its posterior tells how much of it the recordings have, and what the evidence of
 nothing missing loses without it, how much they need it.
@@ -31,8 +31,8 @@ def form_error_table(folder: Path) -> str:
             size, needed = _size(one, mine), log_marginal(one) - _without(one, mine)
             lines.append(f"{name:>12}{owner:>20}{len(mine):>12}{size:>11.1f}{share:>16}{needed:>15.1f}")
     lines.append(
-        "size: of the whole approximation beside the parameters, in standard deviations of the noise; of it: how much "
-        "the recordings have; needed: evidence of nothing missing that is lost without it."
+        "size: of the whole approximation, projected off the parameters, in standard deviations of the noise; of it: "
+        "how much the recordings have; needed: evidence of nothing missing that is lost without it."
     )
     return "\n".join(lines)
 
@@ -55,7 +55,7 @@ def _posterior(ledger: Ledger, wanted: list[int]) -> tuple[np.ndarray, np.ndarra
 
 
 def _size(ledger: Ledger, wanted: list[int]) -> float:
-    """Size of an approximation beside the parameters of the rig."""
+    """Size of an approximation after projection off the parameters of the rig."""
     parameters = [k for k, c in enumerate(ledger.columns) if c.kind == "parameter"]
     whole = ledger.gram
     inner = whole[np.ix_(parameters, parameters)] + np.diag([ledger.columns[k].prior_sd ** -2 for k in parameters])

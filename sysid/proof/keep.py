@@ -1,4 +1,4 @@
-"""Keep a scored shard beside the code: seal, truth, answers and score, a few kilobytes a case."""
+"""Keep a scored shard with the code: seal, truth, diagnoses and score, a few kilobytes a case."""
 
 from __future__ import annotations
 
@@ -25,4 +25,4 @@ def keep_shard(folder: Path, out: Path) -> str:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(folder / name, out / name)
     size = sum((out / name).stat().st_size for name in KEPT)
-    return f"{out}: seal, truth, answers and score, {size / 1024:.0f} KiB."
+    return f"{out}: seal, truth, diagnoses and score, {size / 1024:.0f} KiB."

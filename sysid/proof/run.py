@@ -2,7 +2,7 @@
 
 Writes ``answers/case_XX/`` (what ``thinshell diagnose`` writes, and ``run.json``: time and exit), then
 ``answers.json`` with what every diagnosis says (:mod:`sysid.proof.answer`) and its digest, and its own digest
-``answers.json.sha256``. Seal, truth, answers and score are small and can be kept without the recordings.
+``answers.json.sha256``. Seal, truth, diagnoses and score are small and can be kept without the recordings.
 """
 
 from __future__ import annotations
@@ -46,19 +46,22 @@ def case_folders(folder: Path) -> list[Path]:
 def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
     """Diagnose all cases that have no answer yet; errors are recorded and tried again by the next call."""
     cases = case_folders(folder)
-    answers = folder / ANSWERS_FOLDER
+    diagnoses = folder / ANSWERS_FOLDER
     for k, case in enumerate(cases):
         if on_progress is not None:
             on_progress(k / len(cases), case.name)
-        if not (answers / case.name / DIAGNOSIS_FILE).is_file():
-            _diagnose(case, answers / case.name)
-    index: dict[str, Any] = {"seal": _seal(folder), "cases": {case.name: _entry(answers / case.name) for case in cases}}
+        if not (diagnoses / case.name / DIAGNOSIS_FILE).is_file():
+            _diagnose(case, diagnoses / case.name)
+    index: dict[str, Any] = {
+        "seal": _seal(folder),
+        "cases": {case.name: _entry(diagnoses / case.name) for case in cases},
+    }
     path = folder / ANSWERS_FILE
     path.write_text(json.dumps(index, indent=2) + "\n")
     digest = file_digest(path)
     (folder / f"{ANSWERS_FILE}.sha256").write_text(digest + "\n")
     failed = [name for name, entry in index["cases"].items() if entry["error"]]
-    lines = [f"{len(cases) - len(failed)} of {len(cases)} cases diagnosed, answers: {path}", f"SHA256: {digest}"]
+    lines = [f"{len(cases) - len(failed)} of {len(cases)} cases diagnosed, listed in {path}", f"SHA256: {digest}"]
     lines += [f"{name}: {index['cases'][name]['error']}" for name in failed]
     return "\n".join(lines)
 

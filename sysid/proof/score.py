@@ -1,4 +1,4 @@
-"""Compare the answers with the truth: what was named, what was missed, what the fit gained.
+"""Compare the diagnoses with the truth: what was named, what was missed, what the fit gained.
 
 Rates are given for all cases, and apart for those whose truth comes from another formulation than the simulator's
 (:mod:`sysid.proof.truths`). Outcomes: :mod:`sysid.proof.outcome`.
@@ -53,10 +53,10 @@ class CaseScore:
 
 
 def score_cases(folder: Path) -> str:
-    """Verify seal and answers, score them, write ``score.json``; the returned text is the table."""
+    """Verify seal and diagnoses, score them, write ``score.json``; the returned text is the table."""
     truth = open_seal(folder)
-    answers = _open_answers(folder)
-    scores = [_score(case, answers["cases"]) for case in truth["cases"]]
+    diagnoses = _open_answers(folder)
+    scores = [_score(case, diagnoses["cases"]) for case in truth["cases"]]
     apart = [s for s in scores if s.truth != "simulator"]
     summary = {"all": summarise(scores), "independent": summarise(apart)}
     data = {"seed": truth["seed"], "summary": summary, "cases": [asdict(s) for s in scores]}
@@ -69,21 +69,21 @@ def score_cases(folder: Path) -> str:
 
 
 def _open_answers(folder: Path) -> dict[str, Any]:
-    """The answers, if neither they nor the diagnoses have changed since the run. A shard that is kept without its
+    """What all diagnoses say, if neither that nor they have changed since the run. A shard that is kept without its
     diagnoses has only their digests."""
     path = folder / ANSWERS_FILE
     seal = folder / f"{ANSWERS_FILE}.sha256"
     if not path.is_file() or not seal.is_file():
-        raise ConfigError(f"{folder} holds no answers.", "Diagnose the cases with 'thinshell prove run DIR'.")
+        raise ConfigError(f"{folder} holds no diagnoses.", "Diagnose the cases with 'thinshell prove run DIR'.")
     if file_digest(path) != seal.read_text().strip():
         raise ConfigError(f"{path} has changed since the run.", "Run the cases again.")
-    answers = dict(json.loads(path.read_text()))
-    for name, entry in answers["cases"].items():
+    diagnoses = dict(json.loads(path.read_text()))
+    for name, entry in diagnoses["cases"].items():
         if "sha256" in entry:
             found = folder / ANSWERS_FOLDER / name / DIAGNOSIS_FILE
             if found.is_file() and file_digest(found) != entry["sha256"]:
                 raise ConfigError(f"{found} has changed since the run.", "Run the cases again.")
-    return answers
+    return diagnoses
 
 
 def _score(truth: dict[str, Any], entries: dict[str, Any]) -> CaseScore:

@@ -23,7 +23,7 @@ WORDS = {
     "sure_and_wrong": "Outside the library: a wrong name above 0.9",
     "wrong": "Something false named",
     "held_out_worse": "Held-out error worse with the answer",
-    "held_out_excess_halved": "Right answers that take away half of the held-out misfit beyond noise",
+    "held_out_excess_halved": "Right names that take away half of the held-out misfit beyond noise",
     "parameters_recovered": "Effect parameters within their 95 % interval",
     "materials_recovered": "Materials within their 95 % interval",
 }

@@ -22,8 +22,8 @@ class Fitted:
     together are used up; ``compared``: samples of each channel that are compared (:mod:`sysid.noise.autocorrelation`);
     ``sight``: which rows are no reading that is predicted out of sight, whose residual is 0 ``(n,)``, None if there is
     none; ``began``: chi-square where the search began, infinite without one; ``elsewhere``: the discretisation error
-    that it was found beside is that of another place, and is to be measured again before anything is made of the
-    misfit; ``still``: the jacobian beside a discretisation error that would not change with the parameters, None where
+    that it was found with is that of another place, and is to be measured again before anything is made of the
+    misfit; ``still``: the jacobian with a discretisation error that would not change with the parameters, None where
     it does not; ``interrupted``: by Ctrl-C; ``named``: most probable sizes of named errors ``(k,)``
     (:mod:`sysid.solve.named_errors`)."""
 

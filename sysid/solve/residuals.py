@@ -49,7 +49,7 @@ def _check_numbers(run: Run, measured: Measured, prediction: Prediction, names: 
 class Assembled(NamedTuple):
     """Whitened ``residual`` ``(n,)`` and ``jacobian`` ``(n, p)``, ``labels`` (run, channel, times of the samples), most
     probable ``sizes`` of error shapes, which rows are no reading that is predicted out of ``sight`` ``(n,)``, the
-    jacobian beside a discretisation error that would be ``still`` ``(n, p)``, None where it is, and most probable sizes
+    jacobian with a discretisation error that would be ``still`` ``(n, p)``, None where it is, and most probable sizes
     of ``named`` errors ``(k,)``."""
 
     residual: np.ndarray
@@ -114,7 +114,7 @@ class Problem:
         """Something is eliminated from the residuals."""
         return bool(self.error_shapes) or self.bias
 
-    def beside(self, named: NamedErrors) -> Problem:
+    def with_named(self, named: NamedErrors) -> Problem:
         """The same problem with other named errors."""
         return Problem(
             self.runs, self.noise, self.engine, self.error_shapes, self.prior, self.bias, self.on_channel, named

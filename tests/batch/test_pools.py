@@ -53,18 +53,17 @@ def test_an_interrupt_ends_what_runs_and_what_waits(tmp_path, pool, guard, begun
         time.sleep(0.1)
         assert batch.poll() is None
     os.kill(batch.pid, signal.SIGINT)
-    _, told = batch.communicate(timeout=300)
-    assert "KeyboardInterrupt" in told
+    _, errors = batch.communicate(timeout=300)
+    assert "KeyboardInterrupt" in errors
     assert 2 <= len(list(started.iterdir())) <= begun
 
 
-@pytest.mark.parametrize(("pool", "beside"), [(worker_threads, False), (worker_pool, True)])
-def test_workers_leave_the_other_cores_to_each_other(pool, beside):
-    """One thread of linear algebra each, and one ``beside`` processes, where a library would take as many as there are
-    cores."""
+@pytest.mark.parametrize(("pool", "in_parent"), [(worker_threads, False), (worker_pool, True)])
+def test_workers_leave_the_other_cores_to_each_other(pool, in_parent):
+    """One thread of linear algebra each, and one in the parent of processes, where a library would take all cores."""
     with threadpool_limits(2):
         with pool(1) as workers:
-            threads = [*workers.submit(_threads).result(), *(_threads() if beside else [])]
+            threads = [*workers.submit(_threads).result(), *(_threads() if in_parent else [])]
         assert threads and set(threads) == {1}
         assert set(_threads()) == {2}
 

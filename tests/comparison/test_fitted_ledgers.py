@@ -1,4 +1,4 @@
-"""Sets of effects that are compared where they are fitted, on linear models with known answers."""
+"""Sets of effects that are compared where they are fitted, on linear models with known results."""
 
 from __future__ import annotations
 
@@ -120,11 +120,11 @@ def test_without_an_effect_nothing_that_is_fitted_with_it_is_left(tmp_path: Path
 
 @pytest.mark.parametrize("shared", [False, True])
 def test_fitted_sizes_have_the_posterior_of_least_squares(shared: bool) -> None:
-    """Beside the offset, and beside a direction that has much in common with them."""
+    """Jointly with the offset, and with a direction that has much in common with them."""
     y = drawn(5, 4.0)
     evidence = Evidence(ledger(y, {"creep": 3.5}), priors=NARROW)
-    beside = joined([evidence.directions(("lag", "plain"))] if shared else [])
-    (found,) = evidence.fitted_amplitudes(beside)
+    further = joined([evidence.directions(("lag", "plain"))] if shared else [])
+    (found,) = evidence.fitted_amplitudes(further)
     table = np.column_stack([OFFSET, LAWS["creep"], *([LAWS["lag"]] if shared else [])])
     sd = np.array([3.0, SD, SD][: table.shape[1]])
     covariance = np.linalg.inv(table.T @ table + np.diag(sd**-2.0))

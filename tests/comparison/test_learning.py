@@ -1,4 +1,4 @@
-"""Numbers that are learnt, on linear models with known answers."""
+"""Numbers that are learnt, on linear models with known results."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def ledger(y: np.ndarray) -> Ledger:
 
 
 def test_the_form_error_is_learnt() -> None:
-    """Each effect changes the readings by a tenth of what the mesh does, beside parameters and mesh."""
+    """Each effect changes the readings by a tenth of what the mesh does, given parameters and mesh."""
     rng = np.random.default_rng(1)
     parameters = 4.0 * np.outer(MODULUS, MODULUS)
-    beside = np.linalg.inv(np.eye(READINGS) + parameters)
-    size = np.sqrt((1.0 + 0.3**2) * MESH @ beside @ MESH)
+    projection = np.linalg.inv(np.eye(READINGS) + parameters)
+    size = np.sqrt((1.0 + 0.3**2) * MESH @ projection @ MESH)
     inverse = np.linalg.inv(np.eye(READINGS) + parameters + 0.09 * np.outer(MESH, MESH))
     widths = 0.1 * size / np.sqrt(np.einsum("nk,nm,mk->k", EFFECTS, inverse, EFFECTS))
 

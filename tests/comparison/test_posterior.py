@@ -1,4 +1,4 @@
-"""Posterior probabilities of models from Gram matrices, on linear models with known answers."""
+"""Posterior probabilities of models from Gram matrices, on linear models with known results."""
 
 from __future__ import annotations
 
@@ -110,11 +110,11 @@ def plain_covariance() -> np.ndarray:
 
 def form_error(form: float) -> np.ndarray:
     """Covariance of what careful simulators differ in: each effect and closure by a share of the size of the mesh,
-    whose mean square is 1 + 0.3^2 of its own, beside what the parameters take up of it."""
+    whose mean square is 1 + 0.3^2 of its own, less what the parameters take up of it."""
     columns = np.column_stack([EFFECTS, *SLOTS.values()])
     sd = np.concatenate([np.full(4, 2.0), np.full(5, 0.5)])
-    beside = np.linalg.inv(np.eye(READINGS) + 9.0 * PARAMETERS @ PARAMETERS.T)
-    size = np.sqrt((1.0 + 0.3**2) * APPROXIMATION @ beside @ APPROXIMATION)
+    projection = np.linalg.inv(np.eye(READINGS) + 9.0 * PARAMETERS @ PARAMETERS.T)
+    size = np.sqrt((1.0 + 0.3**2) * APPROXIMATION @ projection @ APPROXIMATION)
     inverse = np.linalg.inv(plain_covariance())
     widths = np.minimum(form * size / np.sqrt(np.einsum("nk,nm,mk->k", columns, inverse, columns)), sd)
     return np.asarray((columns * widths**2) @ columns.T)
@@ -141,7 +141,7 @@ def test_all_models_have_the_mesh_and_the_form_error(form: float) -> None:
 
 
 def test_unknown_physics_is_any_combination_of_what_a_place_has() -> None:
-    """Against the dense covariance: each effect and closure of the place by one standard deviation of the noise beside
+    """Against the dense covariance: each effect and closure of the place by one standard deviation of the noise, given
     what all models have, all together of the size that is asked for."""
     y = drawn(9, {"lag": 1.0}) + SLOTS["sheet"] @ [0.6, -0.9, 0.4] + APPROXIMATION
     covariance = plain_covariance() + form_error(0.01)
@@ -343,8 +343,10 @@ def test_what_a_model_leaves_is_its_misfit() -> None:
 def test_several_effects_of_one_place_may_be_unknown_physics_that_looks_like_them() -> None:
     """As far as the recordings tell they are equally probable. Effects of two places are no mixture."""
     plain = with_closures(drawn(17, {"lag": 3.0, "creep": 4.0}))
-    beside = replace(plain, columns=tuple(replace(c, place="sheet") if c.owner == "lag" else c for c in plain.columns))
-    found = compared(beside)
+    other_place = replace(
+        plain, columns=tuple(replace(c, place="sheet") if c.owner == "lag" else c for c in plain.columns)
+    )
+    found = compared(other_place)
     pair = [c for c in found.candidates if c.names == ("creep", "lag")]
     same = [c for c in found.candidates if c.names == (f"{UNKNOWN}sheet",) and c.counts[PLACE["mixture"]]]
     assert sorted(c.factor for c in same) == sorted(c.factor for c in pair)

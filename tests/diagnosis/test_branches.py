@@ -14,7 +14,7 @@ import pytest
 from sim_core.rigs import Rig
 from sim_core.simulate import Trace
 from sysid.diagnosis.baseline import best_branch
-from sysid.diagnosis.beliefs import believed
+from sysid.diagnosis.known_priors import with_known_priors
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
@@ -58,7 +58,7 @@ def problem(small_rig: Callable[..., Rig]) -> Callable[[float], tuple[Problem, R
 
     def build(friction: float) -> tuple[Problem, Rig, list[FitParameter]]:
         rig = small_rig()
-        parameters = believed(rig, fit_parameters(rig, ["contacts.gel-card.friction"]))
+        parameters = with_known_priors(rig, fit_parameters(rig, ["contacts.gel-card.friction"]))
         truth = rig_at(rig, parameters, np.array([friction]))
         data = readings(truth) + SIGMA * np.random.default_rng(0).standard_normal((len(T), 6))
         run = Run("run", "", (), {}, (Measured("wrist", "wrench", T, data, tuple("abcdef")),), float(T[-1]))

@@ -32,7 +32,7 @@ def features(*runs: Run) -> list[list[Course]]:
 
 
 def test_noise_of_a_force_is_no_feature() -> None:
-    """What a sensor reads beside what is predicted changes nothing."""
+    """What a sensor reads in addition to what is predicted changes nothing."""
     up = 0.02 * np.sin(np.pi * T)
     clean = run("a", up, 3.0 * np.abs(up))
     noisy = clean.measured[0].values + np.random.default_rng(1).standard_normal((len(T), 6))

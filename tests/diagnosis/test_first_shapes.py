@@ -1,4 +1,4 @@
-"""A body that keeps a set from one recording to the next is told by the first rest of the later ones."""
+"""A body that keeps a set from one recording to the next is found by the first rest of the later ones."""
 
 from __future__ import annotations
 

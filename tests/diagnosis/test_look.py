@@ -91,7 +91,7 @@ def looked(small_rig: Any, share: float, seeds: Sequence[int] = (1,), fitted: fl
     base = given.evaluate(rig, parameters, at)
     wanted = [relaxation(0.1), relaxation(0.1, "#other"), relaxation(0.1, "#broken")]
     found = look(engine, base, given, wanted, Approximations(engine, base, given))
-    given = given.beside(found.named)
+    given = given.with_named(found.named)
     if fitted is None:
         return found.look_at(given, base), base
     there = rig.model_copy(update={"effects": {"gel_relaxation": {"share": fitted, "tau_s": 0.2}}})

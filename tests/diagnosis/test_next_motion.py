@@ -22,7 +22,7 @@ HOLD_S = 2.0
 
 
 def recorded(rig: Rig) -> PoseTrajectory:
-    """Down, along x while it turns about z, and up again, from 1 cm beside the start of the rig, at one speed."""
+    """Down, along x while it turns about z, and up again, from 1 cm off the start of the rig, at one speed."""
     start = rig.end_effectors["finger"].start
     corners = np.array([[0.0, 0, 0], [0, 0, -DEPTH_M], [SLIDE_M, 0, -DEPTH_M], [SLIDE_M, 0, 0]])
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1) / SPEED_M_S)])

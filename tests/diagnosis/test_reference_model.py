@@ -85,8 +85,8 @@ def found(
 
 @pytest.mark.parametrize("truth", ["", "wide", "fine", "wide fine"])
 def test_recordings_tell_extent_and_cells(small_rig: Any, monkeypatch: pytest.MonkeyPatch, truth: str) -> None:
-    reference, added, told = found(small_rig, monkeypatch, truth)
-    assert told == ()
+    reference, added, warnings = found(small_rig, monkeypatch, truth)
+    assert warnings == ()
     if not truth:
         assert reference is None and added is None
         return
@@ -110,9 +110,9 @@ def test_finer_cells_of_the_rig_itself_are_asked_of_the_recording_that_tells_mos
 
 
 def test_cells_with_which_simulations_do_not_end_are_not_taken(small_rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    reference, added, told = found(small_rig, monkeypatch, "wide fine", ("wide fine",))
+    reference, added, warnings = found(small_rig, monkeypatch, "wide fine", ("wide fine",))
     assert reference.notes == ("It is wide.",) and added.error is None
-    assert "simulations do not end" in told[0] and "does not converge" in told[0]
+    assert "simulations do not end" in warnings[0] and "does not converge" in warnings[0]
 
 
 def test_the_cells_of_a_user_are_the_reference_of_coarser_ones_whatever_recordings_follow(
@@ -122,8 +122,8 @@ def test_the_cells_of_a_user_are_the_reference_of_coarser_ones_whatever_recordin
         return ContactMesh(rig.model_copy(update={"name": f"{rig.name} fine"}), 2.0, ("They are the user's.",))
 
     coarser = SimpleNamespace(given_cells=given_cells)
-    reference, added, told = found(small_rig, monkeypatch, "", coarser=coarser)
-    assert reference.notes == ("They are the user's.",) and not told
+    reference, added, warnings = found(small_rig, monkeypatch, "", coarser=coarser)
+    assert reference.notes == ("They are the user's.",) and not warnings
     np.testing.assert_allclose(added.readings["run"]["gauge"], SHAPES["fine"][:, None], atol=1e-12)
     with pytest.raises(ConvergenceError):
         found(small_rig, monkeypatch, "", (" fine",), coarser=coarser)

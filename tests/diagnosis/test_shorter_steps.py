@@ -88,7 +88,7 @@ def test_a_modulus_that_takes_up_the_error_of_the_steps_is_found_out(fitted: Any
 
 
 def test_each_recording_has_the_steps_that_it_follows(fitted: Any) -> None:
-    """One beside it was simulated with the steps of the rig, and is known to be so by a modulus that is known."""
+    """Another one was simulated with the steps of the rig, and is known to be so by a modulus that is known."""
     engine, _, _ = fitted(0.0)
     rig = fitted(0.0)[2].centre
     rng = np.random.default_rng(1)

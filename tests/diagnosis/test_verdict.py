@@ -12,7 +12,7 @@ from sysid.comparison.explanations import UNKNOWN
 from sysid.comparison.ledger import Column, Ledger, blocks_of
 from sysid.comparison.posterior import Model, Posterior, posterior
 from sysid.diagnosis.contradictions import contradictions
-from sysid.diagnosis.report_notes import fates
+from sysid.diagnosis.report_notes import outcome_by_effect
 from sysid.diagnosis.result import Located, LocatedChannel
 from sysid.diagnosis.verdict import Verdict, hidden_by_mesh, verdict_of
 from sysid.diagnosis.wording import next_experiment, sentence
@@ -46,7 +46,7 @@ def said(*sets: tuple[tuple[str, ...], float]) -> Posterior:
         (said((("air_drag",), 0.95)), "named", ("air_drag",)),
         (said((("air_drag", "stream_delay"), 0.97)), "named", ("air_drag", "stream_delay")),
         (said((("air_drag",), 0.6), (("stream_delay",), 0.38)), "one_of", ("air_drag", "stream_delay")),
-        # What else may be missing beside the answer is no other answer.
+        # What else may be missing in addition to the answer is no other answer.
         (said((("air_drag",), 0.6), (("air_drag", "stream_delay"), 0.38)), "named", ("air_drag",)),
         (said(((GEL,), 0.8), (("gel_relaxation",), 0.15)), "unknown", ()),
         (said((("gel_relaxation",), 0.7), ((GEL,), 0.25)), "named", ("gel_relaxation",)),
@@ -114,7 +114,7 @@ def test_what_a_mesh_error_twice_as_uncertain_explains_asks_for_finer_cells() ->
 def test_what_became_of_each_effect_is_its_probability() -> None:
     rig = load_rig("card_press")
     verdict = verdict_of(said((("gel_relaxation",), 0.93), (("end_effector_compliance",), 0.04)))
-    found = fates(rig, verdict, {"contact_adhesion": "could not be simulated"})
+    found = outcome_by_effect(rig, verdict, {"contact_adhesion": "could not be simulated"})
     assert found["gel_relaxation"] == "the answer" and found["end_effector_compliance"] == "probability 4 %"
     assert found["contact_adhesion"] == "could not be simulated"
     assert found["stream_delay"] == "probability less than 1 %"

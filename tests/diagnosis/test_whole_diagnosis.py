@@ -181,7 +181,7 @@ def test_of_three_recordings_the_last_is_held_out_where_none_is(
 def test_an_answer_is_not_judged_by_a_discretisation_error_that_it_makes_smaller(
     diagnose: Callable[..., Diagnosis], own: float
 ) -> None:
-    """Beside a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
+    """With a smaller discretisation error the same held-out readings weigh more, for the baseline as well."""
 
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         return read(rig) + ((own * (1.0 - strength(rig) / SHARE) + 0.02) * RIPPLE if fine else 0.0)

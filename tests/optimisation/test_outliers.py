@@ -219,7 +219,7 @@ def lost(by: float) -> tuple[Run, Prediction]:
 
 @pytest.mark.parametrize("by", [0.5, 2.0, 20.0])
 def test_mistakes_are_those_of_the_tracker_however_far_a_model_is_off(by: float) -> None:
-    """A model that misses all of a recording by a constant has the same mistakes beside it as one that is right."""
+    """A model that misses all of a recording by a constant has the same mistakes as one that is right."""
     run, prediction = lost(by * SOLVE.outlier_sd)
     right = replace(prediction, values={"video": PLACE.reshape(N, -1)})
     (of_lost,), (of_right,) = (without_outliers([run], [p], KNOWN)[1] for p in (prediction, right))

@@ -1,4 +1,4 @@
-"""Effects concealed in ledgers, and rates by strength, on linear models with known answers."""
+"""Effects concealed in ledgers, and rates by strength, on linear models with known results."""
 
 from __future__ import annotations
 

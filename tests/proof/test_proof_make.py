@@ -110,10 +110,10 @@ def test_what_is_handed_out(quick: None, tmp_path: Path) -> None:
         assert roles == {"training": ["run_a", "run_b"], "held_out": ["run_c", "run_d"]}
         rig = load_rig(folder / "rig.yaml")
         assert not rig.effects and rig.name == "bench"
-        told = {p.name: p.value for p in list_parameters(rig)}
+        nominal = {p.name: p.value for p in list_parameters(rig)}
         for name, value in case["materials"].items():
-            assert abs(told[name] / value - 1.0) <= 0.41
-            assert told[name] != pytest.approx(value, rel=1e-4)
+            assert abs(nominal[name] / value - 1.0) <= 0.41
+            assert nominal[name] != pytest.approx(value, rel=1e-4)
         text = (folder / "rig.yaml").read_text()
         assert not [e.name for e in all_effects().values() if e.name in text]
         for concealed in case["effects"]:

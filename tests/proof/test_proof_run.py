@@ -63,10 +63,10 @@ def test_a_diagnosis_sees_a_copy_of_its_case_and_nothing_else(folder: Path, call
 
 def test_errors_are_recorded_and_tried_again(folder: Path, calls: list[dict[str, Any]]) -> None:
     assert "1 of 2 cases diagnosed" in run_cases(folder)
-    answers = json.loads((folder / "answers.json").read_text())
-    assert answers["cases"]["case_01"]["answer"]["verdict"] == "nothing_missing"
-    assert answers["cases"]["case_02"]["error"] == "It did not converge."
-    assert answers["seal"] == (folder / "sealed.json.sha256").read_text().strip()
+    diagnoses = json.loads((folder / "answers.json").read_text())
+    assert diagnoses["cases"]["case_01"]["answer"]["verdict"] == "nothing_missing"
+    assert diagnoses["cases"]["case_02"]["error"] == "It did not converge."
+    assert diagnoses["seal"] == (folder / "sealed.json.sha256").read_text().strip()
     assert (folder / "answers.json.sha256").read_text().strip() == file_digest(folder / "answers.json")
     first = (folder / "answers" / "case_01" / "run.json").stat().st_mtime_ns
     assert "2 of 2 cases diagnosed" in run_cases(folder)

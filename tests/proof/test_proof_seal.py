@@ -1,4 +1,4 @@
-"""Sealing the truth, scoring the answers, rates and their intervals."""
+"""Sealing the truth, scoring the diagnoses, rates and their intervals."""
 
 from __future__ import annotations
 
@@ -69,9 +69,9 @@ def folder(tmp_path: Path) -> Path:
         entries[name] = {
             "seconds": 60.0, "error": "", "sha256": file_digest(path), "answer": asdict(read_answer(path)),
         }  # fmt: skip
-    answers = tmp_path / ANSWERS_FILE
-    answers.write_text(json.dumps({"seal": "", "cases": entries}))
-    (tmp_path / f"{ANSWERS_FILE}.sha256").write_text(file_digest(answers) + "\n")
+    diagnoses = tmp_path / ANSWERS_FILE
+    diagnoses.write_text(json.dumps({"seal": "", "cases": entries}))
+    (tmp_path / f"{ANSWERS_FILE}.sha256").write_text(file_digest(diagnoses) + "\n")
     return tmp_path
 
 
@@ -140,8 +140,8 @@ def test_a_kept_shard_scores_alike_and_stays_sealed(folder: Path, tmp_path: Path
     keep_shard(folder, kept)
     assert not list(kept.rglob("diagnosis.json"))
     assert score_cases(kept).splitlines()[:-1] == text.splitlines()[:-1]
-    answers = kept / "answers.json"
-    answers.write_text(answers.read_text().replace("one_of", "named"))
+    diagnoses = kept / "answers.json"
+    diagnoses.write_text(diagnoses.read_text().replace("one_of", "named"))
     with pytest.raises(ConfigError, match="has changed"):
         score_cases(kept)
 

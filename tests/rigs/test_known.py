@@ -9,7 +9,7 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, parse_rig, rig_to_yaml, with_parameters
 from sim_core.rigs.yamlfile import parse_mapping
-from sysid.diagnosis.beliefs import believed
+from sysid.diagnosis.known_priors import with_known_priors
 from sysid.model.parameters import fit_parameters, known_before
 from sysid.settings.diagnosis import DIAGNOSIS
 
@@ -32,7 +32,7 @@ def test_a_deviation_of_a_positive_number_is_a_share_of_its_value(small_rig: Any
 
 def test_a_diagnosis_takes_the_rig_before_what_is_usual(small_rig: Any) -> None:
     rig = small_rig(known={"gel.E": {"relative_sd": 0.01}})
-    modulus, other = believed(rig, fit_parameters(rig, ["gel.E", "card.E"]))
+    modulus, other = with_known_priors(rig, fit_parameters(rig, ["gel.E", "card.E"]))
     assert modulus.known_sd == pytest.approx(0.01)
     assert other.known_sd == DIAGNOSIS.known_sd["E_pa"]
 

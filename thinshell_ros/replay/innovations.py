@@ -43,10 +43,10 @@ from sim_core.trajectories.expected import Band
 from thinshell_ros.replay.expectation import Changes, Table, lagged
 
 LAGS = 12
-"""Most lags that are told apart: their distance is an interval of the prediction, or the longest over this."""
+"""Most lags that are distinguished: their distance is an interval of the prediction, or the longest over this."""
 
 RELAXATION_RATIO = 4.0
-"""Ratio of the relaxation times that are told apart, from the step of the simulation to the length of the motion."""
+"""Ratio of the relaxation times that are distinguished, from the step of the simulation to the length of the motion."""
 
 
 class Innovations(Changes):

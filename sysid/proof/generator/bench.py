@@ -80,7 +80,7 @@ def true_rig(materials: dict[str, float]) -> Rig:
 
 
 def told_rig(rng: np.random.Generator, rig: Rig, noise: dict[str, Noise]) -> Rig:
-    """What the user of the tool is told: the bench with guessed materials and declared noise levels."""
+    """What the user of the tool is given: the bench with guessed materials and declared noise levels."""
     materials = {p: _value(rig, p) * (1.0 + rng.uniform(-GUESS_SHARE, GUESS_SHARE)) for p in MATERIALS}
     declared = {k: float(f"{n.sd * rng.uniform(*NOISE_SHARE):.2g}") for k, n in noise.items()}
     guessed = with_parameters(rig, {k: float(f"{v:.3g}") for k, v in materials.items()})
@@ -124,7 +124,7 @@ def _table_run(rng: np.random.Generator, rig: Rig) -> dict[str, PoseTrajectory]:
 
 
 def _strip_run(rng: np.random.Generator, rig: Rig) -> dict[str, PoseTrajectory]:
-    """Press the strip down beside its middle line, hold, let go quickly."""
+    """Press the strip down off its middle line, hold, let go quickly."""
     gap, depth = 1e-3, rng.uniform(0.008, 0.012)
     x, side, y = rng.uniform(0.010, 0.016), rng.choice([-1.0, 1.0]), rng.uniform(0.009, 0.013)
     down = (0.0, 0.0, -gap - depth)

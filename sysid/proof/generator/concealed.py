@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 MIN_SIGNAL = 12.0
-"""Least norm of the whitened trace that an effect leaves beside the parameters; weaker draws are redrawn."""
+"""Least norm of an effect's whitened trace, projected off the parameters; weaker draws are redrawn."""
 
 Amplitudes = dict[str, float]
 

@@ -1,4 +1,4 @@
-"""Draw, simulate and write the cases; seal the answers."""
+"""Draw, simulate and write the cases; seal the truths."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MAX_DRAWS = 20
 class _Case:
     truth: dict[str, Any]
     rig: Rig
-    told: Rig
+    nominal: Rig
     poses: dict[str, dict[str, PoseTrajectory]]
     noise: dict[str, ColouredNoise]
 
@@ -99,7 +99,7 @@ def make_case(
         folder.mkdir()
         for run, trace in zip(case.poses, traces, strict=True):
             write_trace(case.rig, trace, case.poses[run], folder / run, case.noise[run])
-        (folder / "rig.yaml").write_text(rig_to_yaml(case.told))
+        (folder / "rig.yaml").write_text(rig_to_yaml(case.nominal))
         roles = {"training": list(bench.TRAINING), "held_out": list(bench.HELD_OUT)}
         (folder / "case.yaml").write_text(yaml.safe_dump(roles, sort_keys=False))
         return case.truth
@@ -115,7 +115,7 @@ def _draw(name: str, effects: Sequence[str], seed: np.random.SeedSequence) -> _C
     rig = bench.true_rig(materials)
     motion = np.random.default_rng(for_motion)
     poses = {run: bench.draw_poses(motion, rig, kind) for run, kind in bench.KINDS.items()}
-    told = bench.told_rig(np.random.default_rng(for_guess), rig, levels)
+    nominal = bench.told_rig(np.random.default_rng(for_guess), rig, levels)
     concealed = []
     if effects:
         rng = np.random.default_rng(for_effect)
@@ -137,7 +137,7 @@ def _draw(name: str, effects: Sequence[str], seed: np.random.SeedSequence) -> _C
         "noise": {k: asdict(n) for k, n in levels.items()},
     }
     noise = {run: ColouredNoise(rig, levels, stream) for run, stream in streams.items()}
-    return _Case(truth, rig, told, poses, noise)
+    return _Case(truth, rig, nominal, poses, noise)
 
 
 def _visible(rng: np.random.Generator, effect: str, sight: Sight) -> tuple[Amplitudes, float]:

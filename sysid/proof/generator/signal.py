@@ -1,4 +1,4 @@
-"""How far an effect stands out: the norm of its whitened trace beside what the parameters can absorb.
+"""How far an effect stands out: the norm of its whitened trace after projection off what the parameters can absorb.
 
 signal = min_theta || W (y(effect) - y - J theta) ||: y(effect) and y are noise-free predictions at the true
 materials with and without the effect, J the derivatives by the fitted parameters, W whitens with the true
@@ -53,14 +53,16 @@ class Sight:
     def signal(self, effect: str, amplitudes: Mapping[str, float]) -> float:
         """Norm of the trace of an effect, in standard deviations of the noise."""
         amended = self._rig.model_copy(update={"effects": {effect: dict(amplitudes)}})
-        return self.beside(self._white([self._engine.predict(amended, run).values for run in self._runs]))
+        return self.residual_norm(self._white([self._engine.predict(amended, run).values for run in self._runs]))
 
     def discretisation(self, refine: int, dt: float) -> float:
         """Norm of the change that a finer mesh and step make, in the same unit."""
-        return self.beside(self._white([self._engine.predict(self._rig, run, refine, dt).values for run in self._runs]))
+        return self.residual_norm(
+            self._white([self._engine.predict(self._rig, run, refine, dt).values for run in self._runs])
+        )
 
-    def beside(self, white: np.ndarray) -> float:
-        """Norm of a whitened change of all readings beside the parameters."""
+    def residual_norm(self, white: np.ndarray) -> float:
+        """Norm of a whitened change of all readings after projection off the parameters."""
         change = white - self._clean
         return float(np.linalg.norm(change - self._basis @ (self._basis.T @ change)))
 

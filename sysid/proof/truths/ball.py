@@ -8,7 +8,7 @@ slope s = grad z_b, forces act along its normal and in its tangent plane, and ga
 
 The step is a fixed point of the projections p <- max(0, p - r g), q <- disc(q + r v) (Alart & Curnier, Comput. Methods
 Appl. Mech. Eng. 92, 1991), found with Nesterov's acceleration restarted where it overshoots (O'Donoghue & Candes,
-Found. Comput. Math. 15, 2015); the layer answers by :class:`sysid.proof.truths.layer.Surface`.
+Found. Comput. Math. 15, 2015); the layer responds by :class:`sysid.proof.truths.layer.Surface`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class BallLaws:
     """``friction`` at the pressure ``at_pa``, times (p / at_pa)^-``fade``; ``excess``: static over kinetic, less one;
     ``branches``: share and time constant of stress that fades; ``work_j_m2``, ``range_m``: adhesion, attraction
     6 w / d s (1 - s) at the gap s d; ``stiffening``: relative rise of the modulus a depth of one thickness;
-    ``soft``: relative extra compliance of a spot (x, y, radius [m]) of the surface, beside that of the layer."""
+    ``soft``: relative extra compliance of a spot (x, y, radius [m]) of the surface, besides that of the layer."""
 
     friction: float
     fade: float = 0.0

@@ -84,14 +84,14 @@ def write_bag(
     clean: Clean,
     streams: Streams,
     camera: Pinhole,
-    told: Pinhole,
+    nominal: Pinhole,
     levels: NoiseLevels,
     rng: np.random.Generator,
     *,
     wrench: WrenchFaults | None = None,
     clocks: ClockFaults | None = None,
 ) -> None:
-    """Write one recording by the bag contract. ``camera`` is the true one, ``told`` what its calibration says."""
+    """Write one recording by the bag contract. ``camera`` is the true one, ``nominal`` what its calibration says."""
     wrench, clocks = wrench or WrenchFaults(), clocks or ClockFaults()
     end = float(clean.t[-1])
     names = streams.topics
@@ -115,9 +115,9 @@ def write_bag(
             bag.tracks(
                 names["marker_tracks"], _ns(max(at, 0.0)), frame[seen], streams.ids[seen], trust, streams.camera_frame
             )
-        matrix = [[told.focal, 0.0, told.centre[0]], [0.0, told.focal, told.centre[1]], [0.0, 0.0, 1.0]]
+        matrix = [[nominal.focal, 0.0, nominal.centre[0]], [0.0, nominal.focal, nominal.centre[1]], [0.0, 0.0, 1.0]]
         bag.camera_info(
-            names["camera_info"], START_NS, matrix, told.distortion, "plumb_bob", *told.size, streams.camera_frame
+            names["camera_info"], START_NS, matrix, nominal.distortion, "plumb_bob", *nominal.size, streams.camera_frame
         )
 
 

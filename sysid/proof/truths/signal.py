@@ -1,4 +1,4 @@
-"""How far a concealed effect stands out of the noise beside what the materials of the rig can absorb.
+"""How far a concealed effect stands out of the noise after projection off what the materials of the rig can absorb.
 
 signal = min_theta || W (y(effect) - y - J theta) ||
 

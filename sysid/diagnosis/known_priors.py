@@ -29,7 +29,7 @@ def open_parameters(rig: Rig) -> list[str]:
     return [p.name for p in fit_parameters(rig, names)]
 
 
-def believed(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]:
+def with_known_priors(rig: Rig, parameters: Sequence[FitParameter]) -> list[FitParameter]:
     """The parameters with what is known of each beforehand; of a damping that the rig has, half its value."""
     found = []
     for p, at in zip(parameters, start_of(rig, parameters), strict=True):
