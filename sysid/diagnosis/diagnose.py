@@ -124,6 +124,20 @@ def _missed_there(base: Baseline, before: Misfit) -> str:
     return no_success(missed_multiples(before.errors, True), ())
 
 
+def _left_open(base: Baseline, before: Misfit) -> tuple[str, ...]:
+    """That recordings held out are missed by far, and no further than the recordings given leave open, as where a strip
+    may snap to either side; else nothing."""
+    far = {w: n for w, n in missed_multiples(before.errors, True).items() if n > UNCERTAINTY.failed_noise_multiple}
+    if base.there is None or not far or _missed_there(base, before):
+        return ()
+    worst = max(far, key=lambda w: far[w])
+    return (
+        f"Recordings held out are missed by up to {far[worst]:.3g} times the noise, in {worst}. Numbers that the "
+        "recordings given cannot tell from the fitted ones predict as different readings there (a snap to the other "
+        "side, say), so that this tells nothing for or against the model.",
+    )
+
+
 def _judged(base: Baseline, fitted: Sequence[FittedSet], found: Posterior, ledger: Ledger, missed: bool) -> Verdict:
     """The verdict, with what the recordings themselves and the mesh have to say to it. ``missed``: the baseline misses
     recordings held out by far."""
@@ -188,7 +202,7 @@ def _collect(
         provenance=dict(ledger.provenance),
         seconds=0.0,
         tried=became,
-        notes=notes(base, chosen),
+        notes=(*notes(base, chosen), *_left_open(base, before)),
         series=series,
         marker_fields=fields,
         explained=explained,

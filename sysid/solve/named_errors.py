@@ -39,7 +39,7 @@ class NamedErrors:
     """Directions that all recordings of a problem have in common. ``shapes``: of each recording by channel
     ``(n, m, k)``, measured units; ``refined``: the errors of mesh and time step among them, as they were measured;
     ``instant``: of each recording by channel, what errors of unit variance that each instant has for itself add to its
-    readings ``(n, r, m)``, measured units."""
+    readings ``(n, r, m)``, measured units, alike at neighbouring instants."""
 
     columns: tuple[NamedError, ...]
     shapes: tuple[dict[str, np.ndarray], ...]

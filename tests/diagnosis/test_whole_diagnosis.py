@@ -313,8 +313,10 @@ def test_what_is_not_known_of_parameters_is_not_missing_in_recordings_held_out(
 
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing", found.sentence
+    assert any("tells nothing for or against the model" in note for note in found.notes)
     found = diagnose(law, concealed=0.0, held=SHARE)
     assert found.verdict == "unknown"
+    assert not any("tells nothing for or against the model" in note for note in found.notes)
 
 
 def test_windows_held_out_that_begin_in_motion_decide_nothing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -85,6 +86,27 @@ def test_what_is_made_of_errors_and_noise_is_white() -> None:
     assert plain @ plain / len(plain) > 2.0
 
 
+def test_errors_of_instants_are_as_wide_beyond_coloured_noise() -> None:
+    """Whitened by noise that is alike from reading to reading, what is new at each of them is larger. Columns are off
+    alike at neighbouring instants, as where a hand is."""
+    rng, n, rho = np.random.default_rng(6), 400, 0.9
+    t = np.linspace(0.0, 10.0, n)
+    own = np.tile(rng.standard_normal(3), (n, 1, 1))
+    named = NamedErrors((), ({"gauge": np.zeros((n, 3, 0))},), instant=({"gauge": own},))
+    noise = {"gauge": ChannelNoise(np.full(3, SIGMA), np.full(3, rho), "given")}
+    misfits = []
+    for _ in range(40):
+        coloured = SIGMA * rng.standard_normal((n, 3))
+        for k in range(1, n):
+            coloured[k] = rho * coloured[k - 1] + np.sqrt(1.0 - rho**2) * coloured[k]
+        values = coloured + own[:, 0] * rng.standard_normal((n, 1))
+        run = Run("run", "", (), {}, (Measured("gauge", "markers", t, values, tuple("uvw")),), 10.0)
+        prediction = Prediction({"gauge": np.zeros((n, 3))}, {}, cast(Any, None))
+        r = Problem([run], noise, cast(Any, None), named=named).assemble([prediction], [], None).residual
+        misfits.append(float(r @ r) / len(r))
+    assert np.mean(misfits) == pytest.approx(1.0, abs=0.1)
+
+
 def test_other_readings_in_sight_are_another_covariance() -> None:
     """A prediction that hides a reading is compared with what is left, and the next one with all again."""
     named, values = errors(), np.random.default_rng(4).standard_normal((2, len(T), 3))
@@ -101,8 +123,13 @@ def test_other_readings_in_sight_are_another_covariance() -> None:
 def test_sizes_that_readings_show_are_found() -> None:
     named = errors()
     values = np.stack([s["gauge"] for s in named.shapes]) @ np.array([1.1, 3.0])
-    rows = problem(named, values).assemble(predictions(), [], None)
+    given = problem(named, values)
+    rows = given.assemble(predictions(), [], None)
     np.testing.assert_allclose(rows.named, [1.1, 3.0], atol=0.05)
+    # What the model accounts for is its prediction with the errors of these sizes.
+    fitted = cast(Any, SimpleNamespace(predictions=predictions(), named=rows.named))
+    for k, run in enumerate(given.runs):
+        np.testing.assert_allclose(given.explained(fitted, k, run.measured[0]), values[k], atol=0.2)
 
 
 def test_a_marginal_without_columns_changes_nothing() -> None:
