@@ -125,11 +125,11 @@ class Evidence:
     placed: float
 
     def materially_better(self, other: Evidence, log_sd: float) -> bool:
-        """Whether the error of the model is at most half of that of another one, where that is more than materials and
-        meshes make, or what is implausible in its size or in where it has the markers."""
+        """Whether the error of the model is at most half of that of another one, or what is implausible in its size or
+        in where it has the markers."""
         size, before = abs(np.log(self.size)), abs(np.log(other.size))
         return bool(
-            (self.error < 0.5 * other.error and other.error > SETUP_CHECK.immaterial_error)
+            self.error < 0.5 * other.error
             or (before > log_sd and size < 0.5 * before)
             or (other.placed > SETUP_CHECK.layout_error and self.placed < 0.5 * other.placed)
         )
