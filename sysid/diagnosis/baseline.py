@@ -8,7 +8,7 @@ not eat an effect; and offsets of wrench sensors are no nuisance but a hypothesi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -23,7 +23,7 @@ from sysid.diagnosis.known_priors import open_parameters, with_known_priors
 from sysid.diagnosis.reference_model import Added, Reference, Standing, reference_for, standing
 from sysid.discretisation.approximations import refinement_errors
 from sysid.discretisation.coarser_cells import coarsened
-from sysid.discretisation.followed_model import follows
+from sysid.discretisation.followed_model import Share, follows
 from sysid.discretisation.time_steps import predicted_with_steps, shorter_throughout
 from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import fit_parameters, rig_in, start_of
@@ -45,11 +45,13 @@ Tell = Callable[[float, str], None]
 
 @dataclass
 class Baseline:
-    """``problem``, ``fitted``: the recordings given, without mistakes; ``check``, ``there``: those held out; ``noise``
-    by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could not be followed;
-    ``reference``: the model with finer cells or wider pads whose readings are added, None where there is none;
-    ``undecided``: recordings that keep the time steps of the rig, since too much of them is not explained to tell."""
+    """``recorded``: the recordings given, with mistakes; ``problem``, ``fitted``: those without; ``check``, ``there``:
+    those held out; ``noise`` by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could
+    not be followed; ``reference``: the model with finer cells or wider pads whose readings are added, None where there
+    is none; ``undecided``: recordings that keep the time steps of the rig, since too much of them is not explained to
+    tell."""
 
+    recorded: list[Run]
     problem: Problem
     fitted: Fitted
     check: Problem
@@ -66,12 +68,9 @@ class Baseline:
         return cast(SpaceMappedPredictor, self.problem.engine)
 
 
-def fit_baseline(
-    engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell, *, short: bool = False
-) -> Baseline:
-    """Fit the baseline. ``short``: recordings that cannot tell which steps they follow have shorter ones. Raises
-    ``ThinshellError`` where a recording that is given cannot be simulated; ones held out are left out then, with a
-    note."""
+def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
+    """Fit the baseline. Recordings that have time steps keep these. Raises ``ThinshellError`` where a recording that is
+    given cannot be simulated; ones held out are left out then, with a note."""
     coarser = coarsened(rig)
     rig = rig if coarser is None else coarser.rig
     parameters = with_known_priors(rig, fit_parameters(rig, open_parameters(rig)))
@@ -98,7 +97,7 @@ def fit_baseline(
     noise = channel_noise(rig, clean, held_out)
 
     def problem_of(clean: Sequence[Run]) -> Problem:
-        return Problem(clean, noise, model.engine, prior=True, named=refinement_errors(model.refined))
+        return Problem(clean, noise, model.engine, prior=True, named=refinement_errors(model.refined, clean))
 
     problem = problem_of(clean)
     tell(0.15, "baseline fit")
@@ -111,7 +110,7 @@ def fit_baseline(
     shorter = None
     undecided: tuple[str, ...] = ()
     if rig.solver.inertia:
-        runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise, short)
+        runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise)
     if shorter is not None:
         tell(0.2, "baseline fit with shorter time steps")
         model = stands(fitted.scaled, shorter)
@@ -146,12 +145,28 @@ def fit_baseline(
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
-    return Baseline(problem, fitted, check, there, noise, outliers, (*extent, *warnings, *notes), reference, undecided)
+    notes = (*extent, *warnings, *notes)
+    return Baseline(list(runs), problem, fitted, check, there, noise, outliers, notes, reference, undecided)
 
 
 def with_all_named_errors(base: Baseline, named: NamedErrors) -> Baseline:
     """The baseline fitted on with all named errors, of which it had those of mesh and time step alone."""
-    problem, model = base.problem.with_named(named), base.fitted
+    return _fitted_on(base, base.problem.with_named(named))
+
+
+def without_mistakes_of(base: Baseline, predictions: Sequence[Prediction]) -> Baseline | None:
+    """The baseline fitted on without the readings that are mistakes beside other predictions; None where they are those
+    that it is without already."""
+    clean, outliers = without_outliers(base.recorded, predictions, base.noise)
+    if not worth_another_fit(base.problem.runs, clean):
+        return None
+    problem = Problem(clean, base.noise, base.engine, prior=True, named=base.problem.named)
+    return _fitted_on(replace(base, outliers=outliers), problem)
+
+
+def _fitted_on(base: Baseline, problem: Problem) -> Baseline:
+    """The baseline fitted to another problem from where it stands."""
+    model = base.fitted
     problem.engine = SparingPredictor(base.engine)
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, model.centre, model.parameters, model.scaled)
     problem.engine = base.engine
@@ -235,26 +250,54 @@ def _shorter_steps(
     fitted: Fitted,
     runs: Sequence[Run],
     noise: dict[str, ChannelNoise],
-    short: bool,
 ) -> tuple[list[Run], list[Prediction] | None, tuple[str, ...]]:
     """The runs with shorter steps, their predictions where a search stands, None where no step is shorter, and names of
     those that cannot tell which they follow. A recording that follows the steps of the rig keeps them, since it may be
-    a simulation with these. So does one of which too much is not explained to tell, unless ``short``."""
-    rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-    found, undecided = list(runs), []
-    shorter, there = shorter_throughout(engine, rigs, runs, noise)
-    known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
-    for k, prediction in enumerate(there):
-        if shorter[k] is runs[k]:
-            continue
-        share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
-        if share.surely_refines or (short and share.refines):
-            found[k] = shorter[k]
+    a simulation with these. So does one of which too much is not explained to tell."""
+    found, undecided, shorter = list(runs), [], {}
+    for k, run, prediction, share in _halved(engine, problem, fitted, [r for r in runs if r.steps is None], noise):
+        if share.surely_refines:
+            found[k], shorter[k] = run, prediction
         elif share.refines:
-            undecided.append(runs[k].name)
-    if all(a is b for a, b in zip(found, runs, strict=True)):
+            undecided.append(run.name)
+    if not shorter:
         return found, None, tuple(undecided)
     # Those of the fit hold what a reference model adds, which is added to these later.
-    again = {k: engine.submit(rigs[k], run) for k, run in enumerate(found) if run is not shorter[k]}
-    predictions = [again[k].result() if k in again else there[k] for k in range(len(runs))]
+    again = {
+        k: engine.submit(rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name), run)
+        for k, run in enumerate(found)
+        if k not in shorter
+    }
+    predictions = [shorter[k] if k in shorter else again[k].result() for k in range(len(runs))]
     return found, predictions, tuple(undecided)
+
+
+def with_steps_that_it_follows(base: Baseline, fitted: Fitted) -> list[Run]:
+    """The recordings given, those undecided with the time steps that they follow more probably beside a model with
+    effects; empty where these are the rig's."""
+    found = list(base.recorded)
+    asked = [run for run in found if run.name in base.undecided]
+    for k, run, _, share in _halved(base.engine, base.problem, fitted, asked, base.noise):
+        if share.refines:
+            found[k] = run
+    return found if any(a is not b for a, b in zip(found, base.recorded, strict=True)) else []
+
+
+def _halved(
+    engine: AnyEngine,
+    problem: Problem,
+    fitted: Fitted,
+    runs: Sequence[Run],
+    noise: dict[str, ChannelNoise],
+) -> Iterator[tuple[int, Run, Prediction, Share]]:
+    """Of those of some runs of a problem that halved steps change: its number, the run with these, its prediction where
+    a model stands, and how far the recording follows it."""
+    names = [run.name for run in problem.runs]
+    rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+    shorter, there = shorter_throughout(engine, rigs, runs, noise)
+    known = np.array([p.known_sd or p.prior_sd for p in fitted.parameters])
+    for run, halved, prediction in zip(runs, shorter, there, strict=True):
+        if halved is not run:
+            k = names.index(run.name)
+            share = follows([problem.runs[k]], [fitted.predictions[k]], [[prediction]], noise, known)[0]
+            yield k, halved, prediction, share

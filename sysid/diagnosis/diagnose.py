@@ -27,7 +27,7 @@ from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.report_notes import candidates_of, is_in_answer, limits, named_parameters, notes, outcome_by_effect
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
-from sysid.diagnosis.search import least_temper, leaves_misfit, ledger_with, searched
+from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.diagnosis.validation import beyond_noise, of_readings, seen_by_both
 from sysid.diagnosis.verdict import WHERE, Verdict, hidden_by_mesh, verdict_of
 from sysid.discretisation.refinement import error_sizes
@@ -63,13 +63,6 @@ def diagnose_runs(
     tell = on_progress or (lambda share, text: None)
     with ParallelPredictor(os.cpu_count()) as engine:
         fits, fitted, found = _searched(engine, rig, runs, held_out, tell)
-        if fits.base.undecided and leaves_misfit(ledger_with(fitted)):
-            # Too much was not explained to tell which time steps recordings follow, and with those of the rig is still.
-            again = _searched(
-                engine, rig, runs, held_out, lambda _, text: tell(0.96, f"{text}, with shorter steps"), True
-            )
-            if least_temper(ledger_with(again[1])) < least_temper(ledger_with(fitted)):
-                fits, fitted, found = again
         tell(0.97, "report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
         diagnosis, amended = _collect(rig, fits.base, fits, fitted, found, ledger)
@@ -81,19 +74,24 @@ def diagnose_runs(
 
 
 def _searched(
-    engine: ParallelPredictor,
-    rig: Rig,
-    runs: Sequence[Run],
-    held_out: Sequence[Run],
-    tell: Progress,
-    short: bool = False,
+    engine: ParallelPredictor, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Progress
 ) -> tuple[SetFits, list[FittedSet], Posterior]:
-    """The fits, the sets that were fitted, and the posterior. ``short``: as of :func:`fit_baseline`."""
-    tell(0.0, "first simulations")
-    base = fit_baseline(engine, rig, runs, held_out, tell, short=short)
-    tell(0.42, "a look at all effects")
-    fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
-    return fits, *searched(fits, lambda share, text: tell(0.55 + 0.4 * share, text))
+    """The fits, the sets that were fitted, and the posterior."""
+    part = tell
+    while True:
+        part(0.0, "first simulations")
+        base = fit_baseline(engine, rig, runs, held_out, part)
+        part(0.42, "a look at all effects")
+        fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
+        fitted, posterior, others = searched(fits, _part_of(part, 0.55, 0.95))
+        if posterior is not None:
+            return fits, fitted, posterior
+        runs, part = others, _part_of(tell, 0.7, 0.97, ", with shorter time steps")
+
+
+def _part_of(tell: Progress, start: float, end: float, more: str = "") -> Progress:
+    """Progress of a part of the work, from a share of it to another one."""
+    return lambda share, text: tell(start + (end - start) * share, text + more)
 
 
 def ledger_of(

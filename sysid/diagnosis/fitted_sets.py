@@ -8,7 +8,7 @@ was given: near a snap, or where the baseline has taken up part of an effect, on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,13 @@ from sim_core.effects import RecordingScales
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
 from sysid.comparison.ledger import Ledger
-from sysid.diagnosis.baseline import Baseline, with_all_named_errors, with_own_derivatives
+from sysid.diagnosis.baseline import (
+    Baseline,
+    with_all_named_errors,
+    with_own_derivatives,
+    with_steps_that_it_follows,
+    without_mistakes_of,
+)
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.look import Look, look
@@ -28,6 +34,7 @@ from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_o
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
+from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.solve import SOLVE
 from sysid.solve.optimum import Fitted
@@ -57,6 +64,11 @@ class FittedSet:
         return " and that ".join(h.effect.title for h in self.hypotheses)
 
     @property
+    def misfit(self) -> float:
+        """Mean squared residual, in units of the noise, that the model leaves of the recordings given."""
+        return self.fitted.misfit
+
+    @property
     def ledger(self) -> Ledger:
         """Of the model linearised there."""
         return self.seen.ledger
@@ -82,13 +94,40 @@ class SetFits:
         self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
         self._base, self._scales = with_all_named_errors(base, self._responses.named), scales
         self.failed = dict(self._responses.failed)
-        base = self._base
-        self.baseline = FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
+        self.baseline = self._without_effects()
 
     @property
     def base(self) -> Baseline:
         """The baseline with all named errors."""
         return self._base
+
+    def _without_effects(self) -> FittedSet:
+        base = self._base
+        return FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
+
+    def without_mistakes_of(self, best: FittedSet, fitted: Sequence[FittedSet]) -> list[FittedSet] | None:
+        """All sets, of which the baseline is the first, fitted on without the readings that are mistakes beside the
+        ``best``; None where they are those that are left out already. Where a model is far off, its misses hide them.
+        """
+        base = without_mistakes_of(self._base, best.fitted.predictions)
+        if base is None:
+            return None
+        self._base = base
+        self.baseline = self._without_effects()
+        with ThreadPoolExecutor(max(1, len(fitted) - 1)) as threads:
+            again = list(threads.map(self._fitted_on, fitted[1:]))
+        return [self.baseline, *(one for one in again if one is not None)]
+
+    def with_steps_that_it_follows(self, best: FittedSet) -> list[Run]:
+        """The recordings given, those that could not tell their time steps with the ones that they follow beside the
+        ``best`` set; empty where these are the rig's."""
+        return with_steps_that_it_follows(self._base, best.fitted)
+
+    def _fitted_on(self, one: FittedSet) -> FittedSet | None:
+        """A set fitted on to the recordings of the baseline from where it stands."""
+        fitted = one.fitted
+        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), fitted.scaled)
+        return self._fitted(start, (), " and ".join(one.names))
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""

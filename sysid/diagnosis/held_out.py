@@ -59,7 +59,8 @@ def held_out_problem(
         except ThinshellError as error:
             lost.append(f"{given.name} is left out, it could not be simulated: {error}")
     shapes = _of_all([model.refined for model in found])
-    return Problem(kept, noise, SpaceMappedPredictor(engine, added), named=refinement_errors(shapes)), tuple(lost)
+    named = refinement_errors(shapes, kept)
+    return Problem(kept, noise, SpaceMappedPredictor(engine, added), named=named), tuple(lost)
 
 
 def _of_all(shapes: Sequence[Sequence[ErrorShape]]) -> list[ErrorShape]:

@@ -103,10 +103,12 @@ def named_errors(
     rows = rows_of(Problem(problem.runs, problem.noise, problem.engine, prior=True), base, predictions, drawn, none)
     kept = [principal(r.jacobian) for r in rows]
     open_, instant = [], []
-    for run, p, directions, moved in zip(problem.runs, predictions, kept, motions, strict=True):
+    for run, p, directions, moved, jumps in zip(
+        problem.runs, predictions, kept, motions, approximations.jumps, strict=True
+    ):
         found = {m.channel: np.nan_to_num(p.derivatives[m.channel]) for m in run.measured}
         open_.append({c: d[..., drawn] @ directions for c, d in found.items()})
-        own = {m.channel: [of_stamps(m.t, p.values[m.channel])] for m in run.measured}
+        own = {m.channel: [of_stamps(m.t, p.values[m.channel]), jumps[m.channel]] for m in run.measured}
         if moved:
             for m in run.measured:
                 own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))

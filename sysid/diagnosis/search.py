@@ -3,7 +3,10 @@
 The posterior is that of the rig and of all sets of effects (:mod:`sysid.comparison.posterior`), each in the ledger
 where most of its effects are fitted. The most probable sets that are not fitted yet are fitted next. Where none leaves
 noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
-evidence says little of which is best. Of the best set of several effects all parts are fitted before it is an answer.
+evidence says little of which is best. Mistakes of trackers and sensors are looked for again beside each set that leaves
+less than all before, and recordings that could not tell which time steps they follow are asked again beside the first
+one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before it is an
+answer.
 """
 
 from __future__ import annotations
@@ -19,17 +22,27 @@ from sysid.comparison.ledger import Ledger
 from sysid.comparison.posterior import FITTED, Candidate, Compared, Posterior, compared, judged, temper_of
 from sysid.comparison.priors import PRIORS
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits, Shapes
+from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
 
 Tell = Callable[[float, str], None]
 
 
-def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
-    """The baseline and all sets that were fitted, and the posterior."""
+def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior | None, list[Run]]:
+    """The baseline and all sets that were fitted, and the posterior. Where recordings follow other time steps, all that
+    are given with these, and no posterior; else no recordings."""
     fitted = [fits.baseline]
     tried: set[tuple[str, ...]] = {()}
-    simulated = False
+    simulated, clearest, asked = False, fitted[0].names, not fits.base.undecided
     while True:
+        best = min(fitted, key=lambda one: one.misfit)
+        if best.names != clearest:
+            clearest = best.names
+            tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), "mistakes of trackers and sensors")
+            fitted = fits.without_mistakes_of(best, fitted) or fitted
+            if not asked and (others := fits.with_steps_that_it_follows(_same(fitted, best))):
+                return fitted, None, others
+            asked = True
         found = compared(ledger_with(fitted))
         posterior = judged(found)
         room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
@@ -46,7 +59,8 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
         wanted = [names for names in wanted if names not in tried][:room]
         if not wanted:
-            return fitted, posterior
+            others = [] if asked or not leaves_misfit(ledger_with(fitted)) else fits.with_steps_that_it_follows(best)
+            return fitted, None if others else posterior, others
         tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), " or ".join(" and ".join(names) for names in wanted))
         tried |= set(wanted)
         begun = [fitted[_at(found, names)] for names in wanted]
@@ -55,6 +69,11 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
         with ThreadPoolExecutor(len(wanted)) as threads:
             more = threads.map(fits.fit, begun, shapes, tempers)
             fitted += [one for one in more if one is not None]
+
+
+def _same(fitted: list[FittedSet], one: FittedSet) -> FittedSet:
+    """The set with the same effects among those that were fitted."""
+    return next((other for other in fitted if other.names == one.names), one)
 
 
 def ledger_with(fitted: list[FittedSet]) -> Ledger:
@@ -92,12 +111,8 @@ def _parts(
 def leaves_misfit(ledger: Ledger) -> bool:
     """Whether all columns together, where that is least, leave more than noise does."""
     chance = np.sqrt(2.0 / max(ledger.readings, 1))
-    return least_temper(ledger) > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
-
-
-def least_temper(ledger: Ledger) -> float:
-    """Mean squared residual that all columns together leave, where that is least."""
-    return min(temper_of(one) for one in (ledger, *ledger.amended))
+    least = min(temper_of(one) for one in (ledger, *ledger.amended))
+    return least > 1.0 + DIAGNOSIS.misfit_deviations * float(chance)
 
 
 def _simulated_best(fits: SetFits, found: Compared) -> list[tuple[str, ...]]:

@@ -16,7 +16,13 @@ Of K motions dq_k drawn from what the poses leave open, with the derivative L of
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
 b ~ N(0, 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of
 instants: what a body follows at once is an error of each instant besides (:func:`of_instants`). So is what readings
-change by while their stamps jitter (:func:`of_stamps`).
+change by while their stamps jitter (:func:`of_stamps`). And so is by how much the errors of mesh, time step and range
+of contacts jump from reading to reading: to which of two readings an impact counts hangs on where steps end, so that
+the next halving changes other readings than the last one (:func:`of_jumps`).
+
+A sensor reads the mean over a time w about its stamps, as a force sensor between two samples or a camera while its
+shutter is open, w^2 / 24 d^2y/dt^2 beyond what is there at the stamp. Of w nothing is known but that it is no longer
+than the interval T between two readings: evenly probable, w^2 / T^2 is 1/3 with the variance 4/45.
 """
 
 from __future__ import annotations
@@ -54,6 +60,9 @@ TOUCHING_SURFACE = "touching surface"
 GEL_EXTENT = "gel extent"
 """Owner of what the boundary far away changes in how far a surface is dragged along."""
 
+AVERAGING = "averaging of a sensor"
+"""Owner of what a sensor changes that reads the mean over a time about its stamps."""
+
 POSES = "poses"
 """Owner of what the noise of poses leaves open."""
 
@@ -65,18 +74,24 @@ def sized(label: str) -> NamedError:
     return NamedError(owner, label, *DISCRETISATION.approximation_sizes.get(owner, of_refinement))
 
 
-def refinement_errors(shapes: Sequence[ErrorShape]) -> NamedErrors:
+def refinement_errors(shapes: Sequence[ErrorShape], runs: Sequence[Run]) -> NamedErrors:
     """The errors of mesh and time step alone."""
-    runs = range(len(shapes[0].shapes)) if shapes else range(0)
     by_channel = tuple(
-        {c: np.stack([s.shapes[i][c] for s in shapes], axis=-1) for c in shapes[0].shapes[i]} for i in runs
+        {m.channel: _stacked([s.shapes[i].get(m.channel) for s in shapes], m.values.shape) for m in run.measured}
+        for i, run in enumerate(runs)
     )
-    return NamedErrors(tuple(sized(s.label) for s in shapes), by_channel, tuple(shapes))
+    instant = tuple(
+        {m.channel: of_jumps(m.t, shape[m.channel]) for m in run.measured}
+        for run, shape in zip(runs, by_channel, strict=True)
+    )
+    return NamedErrors(tuple(sized(s.label) for s in shapes), by_channel, tuple(shapes), instant)
 
 
 class Approximations:
     """Those of the model of a problem, where a fit stands. ``columns``: with a known shape; ``shapes``: of each
-    recording by channel ``(n, m, k)``, measured units; ``failed``: why one could not be simulated, by name."""
+    recording by channel ``(n, m, k)``, measured units; ``jumps``: of each recording by channel, what of the errors of
+    mesh, time step and contact each instant has for itself ``(n, r, m)``; ``failed``: why one could not be simulated,
+    by name."""
 
     def __init__(self, engine: AnyEngine, base: Fitted, problem: Problem) -> None:
         self.failed: dict[str, str] = {}
@@ -91,11 +106,17 @@ class Approximations:
             if changed(base.rig) != base.rig:
                 error = self._secant(name, changed, factor, engine, base, problem.runs)
                 known += [] if error is None else [(name, error)]
+        solved = [k for k, (name, _) in enumerate(known) if name != TOUCHING_SURFACE]
         known += _of_gel_extent(base.rig, problem.runs, base.predictions)
+        known += _of_averaging(problem.runs, base.predictions)
         self.columns = [sized(label) for label, _ in known]
         self.shapes = [
             {m.channel: _stacked([s[i].get(m.channel) for _, s in known], m.values.shape) for m in run.measured}
             for i, run in enumerate(problem.runs)
+        ]
+        self.jumps = [
+            {m.channel: of_jumps(m.t, shapes[m.channel][..., solved]) for m in run.measured}
+            for run, shapes in zip(problem.runs, self.shapes, strict=True)
         ]
         self._refined = tuple(problem.refined)
 
@@ -176,6 +197,36 @@ def _of_gel_extent(
     return found
 
 
+def _of_averaging(
+    runs: Sequence[Run], predictions: Sequence[Prediction]
+) -> list[tuple[str, tuple[dict[str, np.ndarray], ...]]]:
+    """What each sensor changes that reads the mean over the whole interval between two readings."""
+    found = []
+    for channel in dict.fromkeys(m.channel for run in runs for m in run.measured):
+        shapes = []
+        for run, p in zip(runs, predictions, strict=True):
+            out = {m.channel: np.zeros(m.values.shape) for m in run.measured}
+            for m in run.measured:
+                if m.channel == channel:
+                    out[channel] = mean_less_instant(m.t, p.values[channel])
+            shapes.append(out)
+        found.append((f"{AVERAGING}, {channel}", tuple(shapes)))
+    return found
+
+
+def mean_less_instant(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The mean over the usual interval T between the instants ``t`` [s] ``(n,)`` less the value there ``(n, m)``: T^2 /
+    24 times the second divided difference, 0 at the ends and beside what is missing."""
+    out = np.zeros(values.shape)
+    if len(t) < 3:
+        return out
+    steps = np.diff(t)
+    slopes = np.diff(values, axis=0) / steps[:, None]
+    second = 2.0 * np.diff(slopes, axis=0) / (steps[1:] + steps[:-1])[:, None]
+    out[1:-1] = np.nan_to_num(np.median(steps) ** 2 / 24.0 * second)
+    return out
+
+
 def _with_thinner_touch(rig: Rig) -> Rig:
     """The rig with sheets that touch halfway between their surface and their middle."""
     contacts = [
@@ -229,6 +280,17 @@ def of_stamps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     steps = np.diff(t)
     jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
     return np.asarray(jitter * np.nan_to_num(np.gradient(values, t, axis=0))[:, None])
+
+
+def of_jumps(t: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """What of errors ``(n, m, k)`` at the instants ``t`` [s] ``(n,)`` each instant has for itself ``(n, k, m)``, for
+    errors of unit variance: how far they are from the straight line between the readings before and after. Errors that
+    are independent from reading to reading are as large on average, (2/3)^(1/2) of these distances."""
+    out = np.zeros(errors.shape)
+    if len(t) > 2:
+        share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None, None]
+        out[1:-1] = errors[1:-1] - ((1.0 - share) * errors[:-2] + share * errors[2:])
+    return np.asarray(np.sqrt(2.0 / 3.0) * np.nan_to_num(out).transpose(0, 2, 1))
 
 
 def principal(responses: np.ndarray) -> np.ndarray:

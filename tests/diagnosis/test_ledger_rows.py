@@ -44,6 +44,7 @@ def case() -> tuple[Problem, Any, list[Prediction], list[list[Modulated]], Appro
     approximations.columns = [MESH]
     approximations.shapes = [{"gauge": RNG.standard_normal((len(T), 3, 1))} for _ in runs]
     approximations._refined = ()
+    approximations.jumps = [{"gauge": RNG.standard_normal((len(T), 1, 3))} for _ in runs]
     return problem, base, predictions, motions, approximations
 
 
@@ -60,15 +61,15 @@ def test_poses_are_open_as_their_draws_vary(case: Any) -> None:
     np.testing.assert_array_equal(columns[0] @ columns[1].T, 0.0)
 
 
-def test_each_instant_has_errors_of_its_stamp_and_of_what_follows_the_hand_at_once(case: Any) -> None:
+def test_each_instant_has_errors_of_its_stamp_of_jumps_and_of_what_follows_the_hand_at_once(case: Any) -> None:
     problem, base, predictions, motions, approximations = case
     named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, approximations)
     steps = np.diff(T)
     jitter = 1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0)
-    for own, p, draws in zip(named.instant, predictions, motions, strict=True):
+    for own, p, draws, jumps in zip(named.instant, predictions, motions, approximations.jumps, strict=True):
         slopes = np.gradient(p.values["gauge"], T, axis=0)
         for k in (0, 7, 29):
-            expected = jitter**2 * np.outer(slopes[k], slopes[k])
+            expected = jitter**2 * np.outer(slopes[k], slopes[k]) + np.outer(jumps["gauge"][k], jumps["gauge"][k])
             by_offset = p.derivatives["gauge"][k][:, SHIFTED]
             for draw in draws:
                 change = by_offset @ [part.values[k] for part in draw.parts]
@@ -76,12 +77,12 @@ def test_each_instant_has_errors_of_its_stamp_and_of_what_follows_the_hand_at_on
             np.testing.assert_allclose(own["gauge"][k].T @ own["gauge"][k], expected, rtol=1e-9)
 
 
-def test_without_noise_of_poses_instants_have_the_error_of_their_stamps(case: Any) -> None:
+def test_without_noise_of_poses_instants_have_the_errors_of_stamps_and_jumps(case: Any) -> None:
     problem, base, predictions, _, approximations = case
     nothing = np.zeros(0, dtype=int)
     named = named_errors(problem, base, predictions, nothing, nothing, [[], []], approximations)
     assert named.columns == (MESH,)
-    assert [own["gauge"].shape for own in named.instant] == [(len(T), 1, 3)] * 2
+    assert [own["gauge"].shape for own in named.instant] == [(len(T), 2, 3)] * 2
 
 
 def test_a_ledger_has_the_covariance_of_the_fit(case: Any) -> None:

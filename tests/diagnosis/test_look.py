@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
@@ -86,7 +87,8 @@ def looked(small_rig: Any, share: float, seeds: Sequence[int] = (1,), fitted: fl
     at = start_of(rig, parameters)
     engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.full(3, SIGMA), 0.0, "test")}
     shapes = [ErrorShape("mesh", tuple({"gauge": OWN} for _ in seeds))]
-    runs, named = [recording(n, share, at) for n in seeds], refinement_errors(shapes)
+    runs = [recording(n, share, at) for n in seeds]
+    named = replace(refinement_errors(shapes, runs), instant=())
     given = Problem(runs, noise, engine, prior=True, named=named)
     base = given.evaluate(rig, parameters, at)
     wanted = [relaxation(0.1), relaxation(0.1, "#other"), relaxation(0.1, "#broken")]
@@ -154,12 +156,21 @@ def test_the_ledger_of_a_look_has_its_evidence(small_rig: Any) -> None:
     modulus = next(c for c in found.columns if c.kind == "parameter")
     share = next(c for c in found.columns if c.kind == "effect")
     left = np.concatenate([m.values.ravel() for run in (1, 2) for m in recording(run, SHARE, base.scaled).measured])
-    left -= np.tile((base.scaled[0] * MATERIAL + own.prior_mean * OWN).ravel(), 2)
+    (mean,) = (c for c in found.columns if c.owner == "averaging of a sensor")
+    curved = np.zeros(OWN.shape)
+    curved[1:-1] = base.scaled[0] / 24.0 * (MATERIAL[2:] - 2.0 * MATERIAL[1:-1] + MATERIAL[:-2])
+    known = base.scaled[0] * MATERIAL + own.prior_mean * OWN + mean.prior_mean * curved
+    left -= np.tile(known.ravel(), 2)
+
+    jumps = np.zeros(OWN.shape)
+    jumps[1:-1] = np.sqrt(2.0 / 3.0) * (OWN[1:-1] - 0.5 * (OWN[:-2] + OWN[2:]))
+    of_instants = block_diag(*(np.outer(g, g) for g in np.tile(jumps, (2, 1))))
 
     def density(law: float) -> float:
-        shapes = ((modulus.prior_sd, MATERIAL), (own.prior_sd, OWN), (law * share.prior_sd * share.scale, LAW))
+        shapes = [(modulus.prior_sd, MATERIAL), (own.prior_sd, OWN), (mean.prior_sd, curved)]
+        shapes += [(law * share.prior_sd * share.scale, LAW)]
         tables = [sd * np.tile(shape.ravel(), 2) for sd, shape in shapes]
-        covariance = SIGMA**2 * np.eye(len(left)) + sum(np.outer(t, t) for t in tables)
+        covariance = SIGMA**2 * np.eye(len(left)) + of_instants + sum(np.outer(t, t) for t in tables)
         return float(multivariate_normal(None, covariance).logpdf(left))
 
     evidence = Evidence(found, priors=Priors(form=1e-6))

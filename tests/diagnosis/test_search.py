@@ -11,7 +11,7 @@ import pytest
 from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis.fitted_sets import SetFits
-from sysid.diagnosis.search import leaves_misfit, searched
+from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.settings.diagnosis import DIAGNOSIS
 
 N = 400
@@ -41,26 +41,52 @@ def ledger(y: np.ndarray, fitted: dict[str, float]) -> Ledger:
     return Ledger(tuple(columns), tuple(blocks_of("run", 1.0, T, np.ones(N, dtype=bool), table, 4)), {})
 
 
+def fitted_set(y: np.ndarray, sizes: dict[str, float]) -> Any:
+    """A set of effects of these sizes, fitted to readings."""
+    found = ledger(y, sizes)
+    return SimpleNamespace(names=tuple(sizes), ledger=found, misfit=float(found.gram[-1, -1]) / N)
+
+
 class Fits:
     """Fits of readings that the model of the baseline sees as ``seen``, and that are ``true``."""
 
     def __init__(self, seen: np.ndarray, true: np.ndarray) -> None:
         self._true = true
-        self.baseline = SimpleNamespace(names=(), ledger=ledger(seen, {}))
+        self._seen, self.mistaken = seen, np.zeros(N, dtype=bool)
+        self.base = SimpleNamespace(undecided=())
+        self.baseline = fitted_set(seen, {})
         self.asked: list[tuple[str, ...]] = []
+        self.cleaned: list[tuple[str, ...]] = []
+        self.steps_asked: list[tuple[str, ...]] = []
+        self.shorter: list[Any] = []
         self.simulated = 0
 
     def _fitted(self, names: tuple[str, ...]) -> Any:
         self.asked.append(names)
         table = np.column_stack([COURSES[n] for n in names])
         sizes = np.linalg.lstsq(table, self._true, rcond=None)[0]
-        return SimpleNamespace(names=names, ledger=ledger(self._true, dict(zip(names, sizes, strict=True))))
+        return fitted_set(self._true, dict(zip(names, sizes, strict=True)))
 
     def fit(self, begun: Any, wanted: Any, temper: float) -> Any:
         return self._fitted(tuple(sorted((*begun.names, *(name for name, _ in wanted[0])))))
 
     def fit_without(self, begun: Any, effect: str) -> Any:
         return self._fitted(tuple(n for n in begun.names if n != effect))
+
+    def without_mistakes_of(self, best: Any, fitted: Any) -> Any:
+        self.cleaned.append(best.names)
+        if not self.mistaken.any():
+            return None
+        asked = list(self.asked)
+        self._true = np.where(self.mistaken, 0.0, self._true)
+        self.baseline = fitted_set(np.where(self.mistaken, 0.0, self._seen), {})
+        again = [self.baseline, *(self._fitted(one.names) for one in fitted[1:])]
+        self.asked = asked
+        return again
+
+    def with_steps_that_it_follows(self, best: Any) -> Any:
+        self.steps_asked.append(best.names)
+        return self.shorter
 
     def promising(self, begun: Any, wanted: Any, temper: float, count: int) -> Any:
         self.simulated += 1
@@ -75,7 +101,8 @@ class Fits:
 
 def run(seen: np.ndarray, true: np.ndarray | None = None) -> tuple[Fits, Any, list[Any]]:
     fits = Fits(seen, seen if true is None else true)
-    fitted, posterior = searched(cast(SetFits, fits), lambda share, text: None)
+    fitted, posterior, _ = searched(cast(SetFits, fits), lambda share, text: None)
+    assert posterior is not None
     return fits, posterior, fitted
 
 
@@ -134,31 +161,60 @@ def test_misfit_that_is_left_is_more_than_chance(square: float, left: bool) -> N
     assert leaves_misfit(ledger(y * np.sqrt(square / np.mean(y**2)), {})) == left
 
 
-@pytest.mark.parametrize(("undecided", "misfit", "tempers", "asked", "kept"), [
-    ((), True, {False: 5.0, True: 1.0}, [False], False),
-    (("run",), False, {False: 1.0, True: 1.0}, [False], False),
-    (("run",), True, {False: 5.0, True: 1.0}, [False, True], True),
-    (("run",), True, {False: 5.0, True: 6.0}, [False, True], False),
-])  # fmt: skip
-def test_shorter_steps_are_tried_where_nothing_leaves_noise_alone(
-    monkeypatch: pytest.MonkeyPatch, undecided: tuple[str, ...], misfit: bool, tempers: Any, asked: Any, kept: bool
-) -> None:
-    """Of recordings that could not tell which they follow; what leaves less is the diagnosis."""
-    made: list[bool] = []
+def test_mistakes_are_looked_for_again_beside_a_set_that_leaves_less() -> None:
+    """A reading far off, which what the baseline misses had hidden: all sets go on without it."""
+    fits = Fits(wrong := noise(7) + 4.0 * COURSES["lag"] + 20.0 * (np.arange(N) == 7), wrong)
+    fits.mistaken = np.arange(N) == 7
+    fitted, posterior, others = searched(cast(SetFits, fits), lambda share, text: None)
+    assert fits.cleaned[0] == ("lag",) and others == [] and posterior is not None
+    assert posterior.models[0].effects == ("lag",)
+    assert next(one.misfit for one in fitted if one.names == ("lag",)) < 1.3
+    assert not leaves_misfit(ledger_with(fitted))
 
-    def search(*given: Any) -> Any:
-        short = len(given) > 5 and given[5]
-        made.append(short)
-        return SimpleNamespace(base=SimpleNamespace(undecided=undecided)), [short], None
 
-    answer = SimpleNamespace(notes=())
-    monkeypatch.setattr(diagnosing, "check_apart", lambda *_: None)
-    monkeypatch.setattr(diagnosing, "_searched", search)
-    monkeypatch.setattr(diagnosing, "ledger_with", lambda fitted: SimpleNamespace(short=fitted[0]))
-    monkeypatch.setattr(diagnosing, "leaves_misfit", lambda ledger: misfit)
-    monkeypatch.setattr(diagnosing, "least_temper", lambda ledger: tempers[ledger.short])
-    monkeypatch.setattr(diagnosing, "replace", lambda ledger, **_: ledger)
-    monkeypatch.setattr(diagnosing, "provenance", lambda *_: {})
-    monkeypatch.setattr(diagnosing, "_collect", lambda rig, base, fits, fitted, *_: (answer, fitted[0]))
-    _, chosen = diagnosing.diagnose_runs(cast(Any, None), [], [])
-    assert made == asked and chosen is kept
+def test_beside_a_set_that_leaves_no_less_nothing_is_looked_for_again() -> None:
+    fits, _, _ = run(noise(1))
+    assert fits.cleaned == []
+
+
+@pytest.mark.parametrize("undecided", [False, True])
+def test_recordings_that_follow_other_time_steps_begin_anew(undecided: bool) -> None:
+    """After the first fits, beside the set that leaves least, and before any other fit."""
+    fits = Fits(seen := noise(2) + 3.0 * COURSES["lag"], seen)
+    fits.shorter = cast(Any, ["shorter"])
+    if undecided:
+        fits.base.undecided = ("run",)
+    fitted, _, others = cast(Any, searched)(fits, lambda share, text: None)
+    assert (others, fits.steps_asked) == ((["shorter"], [("lag",)]) if undecided else ([], []))
+    assert fits.asked == [("lag",)] and len(fitted) == 2
+
+
+def test_recordings_that_nothing_explains_are_asked_for_their_steps_beside_the_baseline() -> None:
+    """No effect can be simulated, and what is left is no noise."""
+    fits = Fits(seen := 1.5 * noise(1), seen)
+    fits.shorter, fits.base.undecided = cast(Any, ["shorter"]), ("run",)
+    fits.fit = lambda *_: None  # type: ignore[method-assign]
+    _, _, others = cast(Any, searched)(fits, lambda share, text: None)
+    assert (others, fits.steps_asked) == (["shorter"], [()])
+
+
+def test_a_diagnosis_begins_anew_with_other_time_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+
+    def baseline(engine: Any, rig: Any, runs: Any, *_: Any) -> Any:
+        given.append(runs)
+        return SimpleNamespace(problem=SimpleNamespace(runs=[]), check=SimpleNamespace(runs=[]))
+
+    monkeypatch.setattr(diagnosing, "fit_baseline", baseline)
+    monkeypatch.setattr(diagnosing, "recording_scales", lambda runs: None)
+    monkeypatch.setattr(diagnosing, "SetFits", lambda *_: len(given))
+    monkeypatch.setattr(
+        diagnosing,
+        "searched",
+        lambda fits, tell: ([fits], None, ["shorter"]) if fits == 1 else ([fits], "posterior", []),
+    )
+    shares: list[float] = []
+    search: Any = diagnosing._searched
+    found = search("engine", "rig", ["long"], [], lambda share, text: shares.append(share))
+    assert given == [["long"], ["shorter"]] and found == (2, [2], "posterior")
+    assert shares[0] == 0.0 and shares == sorted(shares)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from sim_core.rigs import Rig
-from sysid.diagnosis.baseline import _is_far, _shorter_steps
+from sysid.diagnosis.baseline import _is_far, _shorter_steps, with_steps_that_it_follows
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.time_span import rollout_times
@@ -78,7 +79,7 @@ def test_a_modulus_that_takes_up_the_error_of_the_steps_is_found_out(fitted: Any
     two apart, and steps are shorter unless it tells otherwise."""
     engine, problem, found = fitted(0.0)
     assert float((found.scaled - engine.origin)[0]) == pytest.approx(2.0 / 300.0, rel=0.1)
-    (run,), predictions, undecided = _shorter_steps(engine, problem, found, problem.runs, problem.noise, False)
+    (run,), predictions, undecided = _shorter_steps(engine, problem, found, problem.runs, problem.noise)
     assert not undecided
     assert predictions is not None
     (prediction,) = predictions
@@ -100,7 +101,7 @@ def test_each_recording_has_the_steps_that_it_follows(fitted: Any) -> None:
     noise = {"gauge": ChannelNoise(np.array([NOISE]), np.zeros(1), "given")}
     problem = Problem(runs, noise, engine, prior=True)
     there = problem.evaluate(rig, parameters, engine.origin)
-    found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise, False)
+    found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise)
     assert not undecided
     assert predictions is not None
     assert found[0].steps is not None and found[1] is runs[1]
@@ -124,9 +125,11 @@ def test_what_is_left_out_does_not_decide_on_the_steps(fitted: Any) -> None:
         runs = [Run("run", "", (), {}, (Measured("gauge", "markers", T, values, ("x",)),), float(T[-1]))]
         problem = Problem(runs, noise, engine, prior=True)
         there = problem.evaluate(rig, parameters, engine.origin)
-        found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise, False)
+        found, predictions, undecided = _shorter_steps(engine, problem, there, runs, noise)
         assert (predictions is None, found[0] is runs[0], undecided) == (kept, kept, ("run",) if kept else ())
-        assert _shorter_steps(engine, problem, there, runs, noise, True)[1] is not None
+        base = SimpleNamespace(recorded=runs, problem=problem, engine=engine, noise=noise, undecided=undecided)
+        followed = with_steps_that_it_follows(cast(Any, base), there)
+        assert [run.steps is not None for run in followed] == ([True] if kept else [])
 
 
 def test_what_misses_a_sixth_of_the_readings_is_another_branch(fitted: Any) -> None:

@@ -281,7 +281,8 @@ def test_the_ledger_of_a_fitted_set_has_the_derivatives_where_it_stands(diagnose
 
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         s = strength(rig)
-        return MATERIAL * (1.0 + stiffness(rig)) + (s + 3.0 * s**2) * LAW + (0.02 * RIPPLE if fine else 0.0)
+        straight = T[:, None] * COLUMNS  # an error that does not jump from reading to reading
+        return MATERIAL * (1.0 + stiffness(rig)) + (s + 3.0 * s**2) * LAW + (0.02 * straight if fine else 0.0)
 
     found = diagnose(law, concealed=SHARE + 3.0 * SHARE**2)
     assert found.ledger is not None and found.verdict == "named", found.sentence

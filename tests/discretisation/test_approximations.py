@@ -13,11 +13,14 @@ import pytest
 from sim_core.rigs import Gel, Rig, parse_rig
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.discretisation.approximations import (
+    AVERAGING,
     CONTACT_RANGE,
     TOUCHING_SURFACE,
     Approximations,
     _of_gel_extent,
+    mean_less_instant,
     of_instants,
+    of_jumps,
     of_stamps,
     principal,
 )
@@ -61,8 +64,9 @@ def given(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[App
 
 def test_each_has_its_shape_and_its_size(given: Any) -> None:
     found, predictor, base, run = given
-    assert [c.name for c in found.columns] == ["mesh", CONTACT_RANGE, TOUCHING_SURFACE]
-    sizes = [DISCRETISATION.approximation_sizes[n] for n in (CONTACT_RANGE, TOUCHING_SURFACE)]
+    averaging = [f"{AVERAGING}, {channel}" for channel in ("wrench", "side")]
+    assert [c.name for c in found.columns] == ["mesh", CONTACT_RANGE, TOUCHING_SURFACE, *averaging]
+    sizes = [DISCRETISATION.approximation_sizes[n] for n in (CONTACT_RANGE, TOUCHING_SURFACE, AVERAGING, AVERAGING)]
     assert [(c.mean, c.sd) for c in found.columns] == [(SOLVE.expected_error_size, SOLVE.error_size_sd), *sizes]
     assert (found.shapes[0]["wrench"][..., 0] == 1.0).all()
     # The error of a range of contact is twice what half of it changes: it vanishes with the range.
@@ -180,3 +184,48 @@ def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
     assert np.abs(change).max() > 1e-5
     # Steps of a rollout that is made again are as solved, and not the same to the last digit.
     np.testing.assert_allclose(shape, change, atol=1e-6 * np.abs(base.predictions[0].values["wrist"]).max())
+
+
+def test_a_sensor_reads_the_mean_about_its_stamps() -> None:
+    """Of a vibration the mean over T is sin(omega T / 2) / (omega T / 2) of it; stamps need not be regular."""
+    omega, T = 31.0, 0.01
+    t = np.arange(0.0, 1.0, T)
+    t[1:-1] += 0.0005 * np.random.default_rng(9).standard_normal(len(t) - 2)
+    values = np.column_stack([np.sin(omega * t), 3.0 + 2.0 * t])
+    found = mean_less_instant(t, values)
+    half = 0.5 * omega * T
+    np.testing.assert_allclose(found[1:-1, 0], (np.sin(half) / half - 1.0) * values[1:-1, 0], atol=4e-4)
+    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-12)
+    values[40] = np.nan
+    lost = mean_less_instant(t, values)
+    assert (lost[39:42] == 0.0).all() and lost[38, 0] == found[38, 0]
+
+
+def test_a_window_of_any_length_up_to_the_interval_is_as_probable() -> None:
+    squares = (np.arange(100000) + 0.5) ** 2 / 100000.0**2
+    mean, sd = DISCRETISATION.approximation_sizes[AVERAGING]
+    assert mean == pytest.approx(squares.mean(), rel=1e-3) and sd == pytest.approx(squares.std(), rel=1e-3)
+
+
+def test_errors_that_jump_are_errors_of_each_instant() -> None:
+    """White ones have their own variance there, a straight line none, between stamps of any distance."""
+    rng = np.random.default_rng(10)
+    t = np.cumsum(rng.uniform(0.005, 0.015, 20000))
+    errors = np.stack([rng.standard_normal((len(t), 2)), np.column_stack([1.0 + 3.0 * t, -t])], axis=-1)
+    found = of_jumps(t, errors)
+    assert found.shape == (len(t), 2, 2)
+    # Between stamps a share u of the way apart, the distance has the variance 1 + u^2 + (1 - u)^2.
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    expected = 2.0 / 3.0 * np.mean(1.0 + share**2 + (1.0 - share) ** 2)
+    assert np.mean(found[1:-1, 0] ** 2) == pytest.approx(expected, rel=0.03)
+    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-9)
+    assert not of_jumps(t[:2], errors[:2]).any()
+
+
+def test_jumps_of_all_that_is_solved_approximately_count_and_no_others(given: Any) -> None:
+    found, _, _, run = given
+    names = [c.name for c in found.columns]
+    solved = [names.index("mesh"), names.index(CONTACT_RANGE)]
+    for m in run.measured:
+        np.testing.assert_array_equal(found.jumps[0][m.channel], of_jumps(m.t, found.shapes[0][m.channel][..., solved]))
+    assert found.jumps[0]["wrench"][:, 1].any()
