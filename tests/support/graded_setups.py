@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from mistaken_setups import MistakenRecording, makers
+from scipy.stats import chi2
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, load_rig
@@ -66,9 +67,10 @@ STARTS = ("start_position", "start_orientation")
 INSTANTS = 40
 """At which an effect is looked for."""
 
-CHANCE = 5.0
-"""Chi-square for each degree of freedom below which a change is chance: readings with and without the mistake have each
-their noise, of which twice the variance is 2."""
+CHANCE = 4.0 * float(chi2.ppf(1.0 - 1e-3 / 6.0, INSTANTS)) / INSTANTS
+"""Chi-square for each degree of freedom below which a change is chance: a reading of an axis that is reversed differs by
+twice its noise, of which four times the variance is the mean square, and the most of six components exceeds this once
+in a thousand times."""
 
 
 @dataclass(frozen=True)
