@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.comparison import ledger
 from sysid.diagnosis.closures import Closure
-from sysid.discretisation.approximations import Approximations, of_instants, of_stamps, principal
+from sysid.discretisation.approximations import Approximations, of_instants, of_rollouts, of_stamps, principal
 from sysid.model.predictor import Prediction
 from sysid.model.responses import Modulated
 from sysid.solve.named_errors import NamedError, NamedErrors
@@ -94,17 +94,18 @@ def named_errors(
     drawn: np.ndarray,
     shifted: np.ndarray,
     motions: Sequence[Sequence[Modulated]],
+    along: Sequence[Sequence[Prediction]],
     approximations: Approximations,
 ) -> NamedErrors:
     """All named errors of a problem, those of its poses among them, where a model is fitted. ``drawn``, ``shifted``:
     numbers of the derivatives by motions that the noise of poses leaves open, and by offsets of the hands that stay;
-    ``motions``: the former, by recording."""
+    ``motions``: the former, by recording; ``along``: rollouts along the first of them."""
     none = [{m.channel: np.zeros((*m.values.shape, 0)) for m in run.measured} for run in problem.runs]
     rows = rows_of(Problem(problem.runs, problem.noise, problem.engine, prior=True), base, predictions, drawn, none)
     kept = [principal(r.jacobian) for r in rows]
     open_, instant = [], []
-    for run, p, directions, moved, jumps in zip(
-        problem.runs, predictions, kept, motions, approximations.jumps, strict=True
+    for run, p, directions, moved, rolled, jumps in zip(
+        problem.runs, predictions, kept, motions, along, approximations.jumps, strict=True
     ):
         found = {m.channel: np.nan_to_num(p.derivatives[m.channel]) for m in run.measured}
         open_.append({c: d[..., drawn] @ directions for c, d in found.items()})
@@ -112,6 +113,8 @@ def named_errors(
         if moved:
             for m in run.measured:
                 own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))
+                there = [r.values[m.channel] for r in rolled]
+                own[m.channel].append(of_rollouts(p.values[m.channel], found[m.channel][..., drawn], there))
         instant.append({c: np.concatenate(parts, axis=1) for c, parts in own.items()})
     return approximations.with_motions(problem.runs, open_, [d.shape[1] for d in kept], instant)
 

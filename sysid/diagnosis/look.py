@@ -9,11 +9,14 @@ is fitted: of the rig alone, or of the rig with a set of effects, whose paramete
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from sim_core.errors import ThinshellError
 from sysid.comparison.evidence import PLAIN
 from sysid.comparison.ledger import AMPLITUDE, SHAPE, Column, Ledger
 from sysid.diagnosis.candidates import Hypothesis
@@ -117,6 +120,7 @@ def look(
     sized = [column for h in wanted for column in h.columns()]
     motions = [approximations.open_motions(i, r) for i, r in enumerate(problem.runs)]
     offsets = [approximations.offsets(run) for run in problem.runs]
+    rolled = [approximations.submit_along(i, r) for i, r in enumerate(problem.runs)]
     jobs = [
         engine.submit_responses(
             fitted.rig, run, fitted.parameters, fitted.scaled, sized, [*moved, *stay, *closures.modulated(run)]
@@ -143,8 +147,18 @@ def look(
     names = {h.effect.name for h in kept}
     failed = {h.effect.name: "could not be simulated" for k, h in enumerate(wanted) if k in broken}
     failed = {n: why for n, why in failed.items() if n not in names} | approximations.failed
-    named = named_errors(problem, fitted, found, drawn, shifted, motions, approximations)
+    along = [_followed(jobs) for jobs in rolled]
+    named = named_errors(problem, fitted, found, drawn, shifted, motions, along, approximations)
     return Responses(found, shared, kept, own, closed, tuple(closures.columns), named, failed)
+
+
+def _followed(jobs: Sequence[Future[Prediction]]) -> list[Prediction]:
+    """Those of some rollouts that ended."""
+    found = []
+    for job in jobs:
+        with suppress(ThinshellError):
+            found.append(job.result())
+    return found
 
 
 def _ledger(

@@ -13,12 +13,14 @@ from boundary elements of a layer without end, so that b_e of the motion of mark
 Poses are known to within their noise only. Where the motion really was lies about the smooth curve that a rollout
 follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings responds to that by more than the noise of its markers.
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
-whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with
-b ~ N(0, 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of
-instants: what a body follows at once is an error of each instant besides (:func:`of_instants`). So is what readings
-change by while their stamps jitter (:func:`of_stamps`). And so is by how much the errors of mesh, time step and range
-of contacts jump from reading to reading: to which of two readings an impact counts hangs on where steps end, so that
-the next halving changes other readings than the last one (:func:`of_jumps`).
+whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with b ~ N(0,
+1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of instants: what a
+body follows at once is an error of each instant besides (:func:`of_instants`). What rests on friction answers to the
+last few nanometres of a motion, and by no more than the friction that there is: what rollouts along some of the draws
+change beyond their linear responses is an error of each instant as well. So is what readings change by while their
+stamps jitter (:func:`of_stamps`). And so is by how much the errors of mesh, time step and range of contacts jump from
+reading to reading: to which of two readings an impact counts hangs on where steps end, so that the next halving changes
+other readings than the last one (:func:`of_jumps`).
 
 A sensor reads the mean over a time w about its stamps, as a force sensor between two samples or a camera while its
 shutter is open, w^2 / 24 d^2y/dt^2 beyond what is there at the stamp. Of w nothing is known but that it is no longer
@@ -28,13 +30,17 @@ than the interval T between two readings: evenly probable, w^2 / T^2 is 1/3 with
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Gel, Rig
+from sim_core.rigs.pose_curve import PoseCurve
 from sim_core.rigs.pose_offset import OFFSETS
+from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene.touching import half_thicknesses
 from sysid.discretisation.error_budget import with_half_range
 from sysid.model.parameters import rig_in
@@ -95,6 +101,7 @@ class Approximations:
 
     def __init__(self, engine: AnyEngine, base: Fitted, problem: Problem) -> None:
         self.failed: dict[str, str] = {}
+        self._engine = engine
         self._open = any(noise > 0.0 for run in problem.runs for p in run.poses.values() for noise in p.noise)
         self._rigs = [rig_in(base.rig, base.parameters, base.scaled, run.name) for run in problem.runs]
         known = [(d.label, d.shapes) for d in problem.refined]
@@ -151,7 +158,16 @@ class Approximations:
             return []
         rng, rig = np.random.default_rng(index), self._rigs[index]
         times = rollout_times([rig], run, rig.solver.dt_s)
-        return [_motion(rig, run, times, rng) for _ in range(DISCRETISATION.drawn_motions)]
+        return [_motion(rig, run, times, _drawn(run, rng)) for _ in range(DISCRETISATION.drawn_motions)]
+
+    def submit_along(self, index: int, run: Run) -> list[Future[Prediction]]:
+        """Rollouts of recording number ``index`` along the first draws of :meth:`open_motions`, of whole size."""
+        if not self._open:
+            return []
+        rng, rig = np.random.default_rng(index), self._rigs[index]
+        times = rollout_times([rig], run, rig.solver.dt_s)
+        drawn = [_drawn(run, rng) for _ in range(DISCRETISATION.rolled_motions)]
+        return [self._engine.submit(rig, _along(run, curves, times)) for curves in drawn]
 
     def with_motions(
         self,
@@ -240,7 +256,22 @@ def _stacked(shapes: Sequence[np.ndarray | None], like: tuple[int, ...]) -> np.n
     return np.stack(found, axis=-1) if found else np.zeros((*like, 0))
 
 
-def _motion(rig: Rig, run: Run, times: np.ndarray, rng: np.random.Generator) -> Modulated:
+def _drawn(run: Run, rng: np.random.Generator) -> dict[str, PoseCurve]:
+    """One draw of the motion of all end effectors that move."""
+    return {name: p.drawn(rng) for name, p in run.poses.items() if len(p.times) > 1}
+
+
+def _along(run: Run, curves: Mapping[str, PoseCurve], times: np.ndarray) -> Run:
+    """The run along other curves, given at the ``times`` [s] of a rollout."""
+    poses = dict(run.poses)
+    for name, curve in curves.items():
+        first, last = poses[name].times[[0, -1]]
+        inside = np.unique(np.clip(times, first, last))
+        poses[name] = PoseTrajectory(inside, *curve.sample(inside))
+    return replace(run, poses=poses)
+
+
+def _motion(rig: Rig, run: Run, times: np.ndarray, curves: Mapping[str, PoseCurve]) -> Modulated:
     """One draw of all end effectors.
 
     With the pose (p, R) and the offset (rho, phi) of the true frame in it, a motion dp of the pose and a turn dr in its
@@ -249,7 +280,7 @@ def _motion(rig: Rig, run: Run, times: np.ndarray, rng: np.random.Generator) -> 
     for name, trajectory in run.poses.items():
         inside = np.clip(times, trajectory.times[0], trajectory.times[-1])
         position, quaternion = trajectory.sample(inside)
-        there, turned = trajectory.drawn(rng).sample(inside) if len(trajectory.times) > 1 else (position, quaternion)
+        there, turned = curves[name].sample(inside) if name in curves else (position, quaternion)
         own = Rotation.from_quat(quaternion)
         turn = own.inv() * Rotation.from_quat(turned)
         offset = rig.end_effectors[name].offset()
@@ -258,6 +289,17 @@ def _motion(rig: Rig, run: Run, times: np.ndarray, rng: np.random.Generator) -> 
         changes = np.hstack([shift, turns]) / np.sqrt(DISCRETISATION.drawn_motions)
         parts += [Modulated(f"{name}.{key}", times, changes[:, k]) for k, key in enumerate(OFFSETS)]
     return Modulated(parts[0].parameter, parts[0].times, parts[0].values, tuple(parts[1:]))
+
+
+def of_rollouts(values: np.ndarray, responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarray:
+    """By what readings along drawn motions ``(n, m)`` differ from their linear prediction, at each instant
+    ``(n, r, m)``, for errors of unit variance. ``values`` ``(n, m)``: along the motion that was measured; ``responses`` ``(n, m, r)``:
+    linear ones to the draws, as scaled by :meth:`Approximations.open_motions`."""
+    whole = np.sqrt(DISCRETISATION.drawn_motions) * responses
+    found = [there - values - whole[..., k] for k, there in enumerate(along)]
+    if not found:
+        return np.zeros((len(values), 0, values.shape[1]))
+    return np.asarray(np.nan_to_num(np.stack(found, axis=1)) / np.sqrt(len(found)))
 
 
 def of_instants(t: np.ndarray, motions: Sequence[Modulated], shifted: np.ndarray) -> np.ndarray:

@@ -59,6 +59,7 @@ class DiscretisationSettings:
         "judgement",
     )
     drawn_motions: int = setting(48, "1", "Motions that are drawn from what the noise of poses leaves open.", "cost")
+    rolled_motions: int = setting(6, "1", "Of them those along which a rollout is made as well.", "cost")
     faint_motion: float = setting(
         0.3,
         "sd",

@@ -14,6 +14,7 @@ from sysid.model.predictor import Prediction
 from sysid.model.responses import Modulated
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.settings.discretisation import DISCRETISATION
 from sysid.solve.named_errors import NamedError
 from sysid.solve.residuals import Problem
 
@@ -21,6 +22,7 @@ RNG = np.random.default_rng(8)
 T = np.cumsum(0.05 + 0.004 * RNG.standard_normal(30))
 DRAWN, SHIFTED = np.arange(1, 5), np.arange(5, 7)
 SIGMA = 0.2
+BEYOND = np.random.default_rng(12).standard_normal((2, len(T), 3))
 MESH = NamedError("mesh", "mesh", 1.0, 0.5)
 
 
@@ -48,10 +50,23 @@ def case() -> tuple[Problem, Any, list[Prediction], list[list[Modulated]], Appro
     return problem, base, predictions, motions, approximations
 
 
+def along_of(predictions: list[Prediction]) -> list[list[Prediction]]:
+    """Readings along the first two draws, beyond their linear responses by known differences."""
+    root = np.sqrt(DISCRETISATION.drawn_motions)
+    return [
+        [
+            Prediction({"gauge": p.values["gauge"] + root * p.derivatives["gauge"][..., DRAWN[k]] + BEYOND[k]}, {},
+                       cast(Any, None))
+            for k in range(2)
+        ]
+        for p in predictions
+    ]  # fmt: skip
+
+
 def test_poses_are_open_as_their_draws_vary(case: Any) -> None:
     """The covariance of what poses leave open is that of the responses to the draws, of each recording for itself."""
     problem, base, predictions, motions, approximations = case
-    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, approximations)
+    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, along_of(predictions), approximations)
     assert named.columns[0] == MESH
     np.testing.assert_array_equal(named.sd[1:], 1.0)
     columns = [s["gauge"].reshape(-1, len(named.columns))[:, 1:] for s in named.shapes]
@@ -61,9 +76,10 @@ def test_poses_are_open_as_their_draws_vary(case: Any) -> None:
     np.testing.assert_array_equal(columns[0] @ columns[1].T, 0.0)
 
 
-def test_each_instant_has_errors_of_its_stamp_of_jumps_and_of_what_follows_the_hand_at_once(case: Any) -> None:
+def test_each_instant_has_errors_of_its_own(case: Any) -> None:
+    """Of its stamp, of jumps, of what follows the hand at once, and of what is not linear in its motion."""
     problem, base, predictions, motions, approximations = case
-    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, approximations)
+    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, along_of(predictions), approximations)
     steps = np.diff(T)
     jitter = 1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0)
     for own, p, draws, jumps in zip(named.instant, predictions, motions, approximations.jumps, strict=True):
@@ -74,13 +90,15 @@ def test_each_instant_has_errors_of_its_stamp_of_jumps_and_of_what_follows_the_h
             for draw in draws:
                 change = by_offset @ [part.values[k] for part in draw.parts]
                 expected += np.outer(change, change)
+            for beyond in BEYOND:
+                expected += 0.5 * np.outer(beyond[k], beyond[k])
             np.testing.assert_allclose(own["gauge"][k].T @ own["gauge"][k], expected, rtol=1e-9)
 
 
 def test_without_noise_of_poses_instants_have_the_errors_of_stamps_and_jumps(case: Any) -> None:
     problem, base, predictions, _, approximations = case
     nothing = np.zeros(0, dtype=int)
-    named = named_errors(problem, base, predictions, nothing, nothing, [[], []], approximations)
+    named = named_errors(problem, base, predictions, nothing, nothing, [[], []], [[], []], approximations)
     assert named.columns == (MESH,)
     assert [own["gauge"].shape for own in named.instant] == [(len(T), 2, 3)] * 2
 
@@ -88,7 +106,7 @@ def test_without_noise_of_poses_instants_have_the_errors_of_stamps_and_jumps(cas
 def test_a_ledger_has_the_covariance_of_the_fit(case: Any) -> None:
     """With the approximations of a ledger integrated out, chi-square and slope are those of the problem of the fit."""
     problem, base, predictions, motions, approximations = case
-    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, approximations)
+    named = named_errors(problem, base, predictions, DRAWN, SHIFTED, motions, along_of(predictions), approximations)
     whole = problem.with_named(named)
     free = free_of(whole, base, predictions, np.array([0]), ())
     assert [c.kind for c in free.columns] == ["approximation"] * len(named.columns)

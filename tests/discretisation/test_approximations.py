@@ -21,6 +21,7 @@ from sysid.discretisation.approximations import (
     mean_less_instant,
     of_instants,
     of_jumps,
+    of_rollouts,
     of_stamps,
     principal,
 )
@@ -94,6 +95,23 @@ def test_an_open_motion_changes_readings_as_a_rollout_along_it_does(given: Any) 
         assert np.abs(change).max() > 0.0
         off = np.linalg.norm(np.nan_to_num(columns[channel][..., -1] - change)) / np.linalg.norm(np.nan_to_num(change))
         assert off < 0.05, channel
+
+
+def test_rollouts_follow_the_draws(given: Any) -> None:
+    """Where a body answers linearly, along the draws of the open motions it does what their responses say."""
+    found, predictor, base, run = given
+    motions, jobs = found.open_motions(0, run), found.submit_along(0, run)
+    assert len(jobs) == DISCRETISATION.rolled_motions
+    columns = predictor.predict_responses(base.rig, run, base.parameters, base.scaled, [], motions[: len(jobs)])
+    values = base.predictions[0].values["side"]
+    responses = np.nan_to_num(columns.derivatives["side"][..., len(base.parameters) :])
+    beyond = of_rollouts(values, responses, [job.result().values["side"] for job in jobs])
+    assert beyond.shape == (len(STAMPS), len(jobs), 20)
+    whole = np.sqrt(DISCRETISATION.drawn_motions / len(jobs)) * responses
+    assert np.linalg.norm(beyond) < 0.1 * np.linalg.norm(whole)
+    exact = replace(run, poses={n: replace(p, noise=(0.0, 0.0)) for n, p in run.poses.items()})
+    still = Approximations(predictor, base, cast(Any, SimpleNamespace(runs=[exact], refined=[])))
+    assert still.submit_along(0, exact) == []
 
 
 def test_poses_without_noise_leave_no_motion_open(given: Any) -> None:

@@ -68,7 +68,7 @@ INSTANTS = 40
 """At which an effect is looked for."""
 
 CHANCE = 4.0 * float(chi2.ppf(1.0 - 1e-3 / 6.0, INSTANTS)) / INSTANTS
-"""Chi-square for each degree of freedom below which a change is chance: a reading of an axis that is reversed differs by
+"""Chi-square for each degree of freedom below which a change is chance: readings of an axis that is reversed differ by
 twice its noise, of which four times the variance is the mean square, and the most of six components exceeds this once
 in a thousand times."""
 
