@@ -293,8 +293,8 @@ def _motion(rig: Rig, run: Run, times: np.ndarray, curves: Mapping[str, PoseCurv
 
 def of_rollouts(values: np.ndarray, responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarray:
     """By what readings along drawn motions ``(n, m)`` differ from their linear prediction, at each instant
-    ``(n, r, m)``, for errors of unit variance. ``values`` ``(n, m)``: along the motion that was measured; ``responses`` ``(n, m, r)``:
-    linear ones to the draws, as scaled by :meth:`Approximations.open_motions`."""
+    ``(n, r, m)``, for errors of unit variance. ``values`` ``(n, m)``: along the motion that was measured; ``responses``
+    ``(n, m, r)``: linear ones to the draws, as scaled by :meth:`Approximations.open_motions`."""
     whole = np.sqrt(DISCRETISATION.drawn_motions) * responses
     found = [there - values - whole[..., k] for k, there in enumerate(along)]
     if not found:

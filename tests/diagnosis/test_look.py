@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from sim_core.effects import RecordingScales, effect_by_name
+from sim_core.errors import ConvergenceError
 from sim_core.simulate import Trace
 from sysid.comparison.evidence import Evidence
 from sysid.comparison.posterior import compared
@@ -23,6 +24,7 @@ from sysid.diagnosis.look import Look, look
 from sysid.discretisation.approximations import Approximations, refinement_errors
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.model.predictor import Prediction
+from sysid.model.responses import Modulated
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
 from sysid.solve.discretisation_basis import ErrorShape
@@ -197,3 +199,28 @@ def test_a_shape_is_drawn_for_a_benchmark_that_no_diagnosis_looks_at(small_rig: 
                 assert min(ends) <= value <= max(ends)
     again = drawn_shapes(rig, scales, np.random.default_rng(2))
     assert [h.shape for h in again] != [h.shape for h in drawn]
+
+
+def test_rollouts_along_open_motions_are_looked_at_and_those_that_fail_are_left_out(
+    small_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By how much one differs from its linear response, of which there is none here, is an error of each instant."""
+    still = Modulated("finger.offset_x_m", np.array([0.0, 1.0]), np.zeros(2))
+    ended: Future[Prediction] = Future()
+    lost: Future[Prediction] = Future()
+    lost.set_exception(ConvergenceError("It does not converge.", "Begin elsewhere."))
+    monkeypatch.setattr(Approximations, "open_motions", lambda *_: [still, still])
+    monkeypatch.setattr(Approximations, "offsets", lambda *_: [still])
+    monkeypatch.setattr(Approximations, "submit_along", lambda *_: [lost, ended])
+    rig = small_rig()
+    parameters = fit_parameters(rig, ["gel.E"])
+    at = start_of(rig, parameters)
+    slipped = np.where(T > 0.5, 3.0 * SIGMA, 0.0)[:, None] * COLUMNS
+    ended.set_result(Prediction({"gauge": at[0] * MATERIAL + slipped}, {}, cast(Trace, None)))
+    engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.full(3, SIGMA), 0.0, "test")}
+    runs = [recording(1, 0.0, at)]
+    given = Problem(runs, noise, engine, prior=True, named=refinement_errors([], runs))
+    base = given.evaluate(rig, parameters, at)
+    named = look(engine, base, given, [relaxation(0.1)], Approximations(engine, base, given)).named
+    rows = np.sum(np.square(named.instant[0]["gauge"]), axis=1)
+    np.testing.assert_allclose(rows, slipped**2, atol=1e-15)
