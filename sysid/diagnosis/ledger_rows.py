@@ -99,7 +99,8 @@ def named_errors(
 ) -> NamedErrors:
     """All named errors of a problem, those of its poses among them, where a model is fitted. ``drawn``, ``shifted``:
     numbers of the derivatives by motions that the noise of poses leaves open, and by offsets of the hands that stay;
-    ``motions``: the former, by recording; ``along``: rollouts along the first of them."""
+    ``motions``: the former, by recording; ``along``: rollouts along
+    the motion that was measured and the first of these."""
     none = [{m.channel: np.zeros((*m.values.shape, 0)) for m in run.measured} for run in problem.runs]
     rows = rows_of(Problem(problem.runs, problem.noise, problem.engine, prior=True), base, predictions, drawn, none)
     kept = [principal(r.jacobian) for r in rows]
@@ -114,7 +115,7 @@ def named_errors(
             for m in run.measured:
                 own[m.channel].append(of_instants(m.t, moved, found[m.channel][..., shifted]))
                 there = [r.values[m.channel] for r in rolled]
-                own[m.channel].append(of_rollouts(p.values[m.channel], found[m.channel][..., drawn], there))
+                own[m.channel].append(of_rollouts(found[m.channel][..., drawn], there))
         instant.append({c: np.concatenate(parts, axis=1) for c, parts in own.items()})
     return approximations.with_motions(problem.runs, open_, [d.shape[1] for d in kept], instant)
 

@@ -153,10 +153,10 @@ def look(
 
 
 def _followed(jobs: Sequence[Future[Prediction]]) -> list[Prediction]:
-    """Those of some rollouts that ended."""
+    """Some rollouts up to the first one that could not be simulated."""
     found = []
-    for job in jobs:
-        with suppress(ThinshellError):
+    with suppress(ThinshellError):
+        for job in jobs:
             found.append(job.result())
     return found
 

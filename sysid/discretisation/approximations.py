@@ -101,7 +101,7 @@ class Approximations:
 
     def __init__(self, engine: AnyEngine, base: Fitted, problem: Problem) -> None:
         self.failed: dict[str, str] = {}
-        self._engine = engine
+        self._engine, self._centre = engine, base.centre
         self._open = any(noise > 0.0 for run in problem.runs for p in run.poses.values() for noise in p.noise)
         self._rigs = [rig_in(base.rig, base.parameters, base.scaled, run.name) for run in problem.runs]
         known = [(d.label, d.shapes) for d in problem.refined]
@@ -161,13 +161,16 @@ class Approximations:
         return [_motion(rig, run, times, _drawn(run, rng)) for _ in range(DISCRETISATION.drawn_motions)]
 
     def submit_along(self, index: int, run: Run) -> list[Future[Prediction]]:
-        """Rollouts of recording number ``index`` along the first draws of :meth:`open_motions`, of whole size."""
+        """Rollouts of recording number ``index`` along the motion that was measured, and along the first draws of
+        :meth:`open_motions`, of whole size. Where a fit has less friction than the rig, they have that of the rig: with
+        hardly any friction nothing rests on it, whatever the motion."""
         if not self._open:
             return []
-        rng, rig = np.random.default_rng(index), self._rigs[index]
+        rng, rig = np.random.default_rng(index), _with_friction_of(self._centre, self._rigs[index])
         times = rollout_times([rig], run, rig.solver.dt_s)
         drawn = [_drawn(run, rng) for _ in range(DISCRETISATION.rolled_motions)]
-        return [self._engine.submit(rig, _along(run, curves, times)) for curves in drawn]
+        measured = {name: p.curve for name, p in run.poses.items() if len(p.times) > 1}
+        return [self._engine.submit(rig, _along(run, curves, times)) for curves in (measured, *drawn)]
 
     def with_motions(
         self,
@@ -256,6 +259,15 @@ def _stacked(shapes: Sequence[np.ndarray | None], like: tuple[int, ...]) -> np.n
     return np.stack(found, axis=-1) if found else np.zeros((*like, 0))
 
 
+def _with_friction_of(centre: Rig, rig: Rig) -> Rig:
+    """The rig with no less friction in each contact than another one."""
+    contacts = [
+        c.model_copy(update={"friction": max(c.friction, other.friction)})
+        for c, other in zip(rig.contacts, centre.contacts, strict=True)
+    ]
+    return rig.model_copy(update={"contacts": tuple(contacts)})
+
+
 def _drawn(run: Run, rng: np.random.Generator) -> dict[str, PoseCurve]:
     """One draw of the motion of all end effectors that move."""
     return {name: p.drawn(rng) for name, p in run.poses.items() if len(p.times) > 1}
@@ -291,14 +303,15 @@ def _motion(rig: Rig, run: Run, times: np.ndarray, curves: Mapping[str, PoseCurv
     return Modulated(parts[0].parameter, parts[0].times, parts[0].values, tuple(parts[1:]))
 
 
-def of_rollouts(values: np.ndarray, responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarray:
-    """By what readings along drawn motions ``(n, m)`` differ from their linear prediction, at each instant
-    ``(n, r, m)``, for errors of unit variance. ``values`` ``(n, m)``: along the motion that was measured; ``responses``
-    ``(n, m, r)``: linear ones to the draws, as scaled by :meth:`Approximations.open_motions`."""
+def of_rollouts(responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarray:
+    """By what readings along drawn motions differ from their linear prediction, at each instant ``(n, r, m)``, for
+    errors of unit variance. ``responses`` ``(n, m, r)``: linear ones to the draws, as scaled by
+    :meth:`Approximations.open_motions`; ``along`` ``(n, m)`` each: readings along the motion that was measured, and
+    along the draws."""
+    if len(along) < 2:
+        return np.zeros((len(responses), 0, responses.shape[1]))
     whole = np.sqrt(DISCRETISATION.drawn_motions) * responses
-    found = [there - values - whole[..., k] for k, there in enumerate(along)]
-    if not found:
-        return np.zeros((len(values), 0, values.shape[1]))
+    found = [there - along[0] - whole[..., k] for k, there in enumerate(along[1:])]
     return np.asarray(np.nan_to_num(np.stack(found, axis=1)) / np.sqrt(len(found)))
 
 

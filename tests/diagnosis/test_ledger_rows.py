@@ -51,16 +51,15 @@ def case() -> tuple[Problem, Any, list[Prediction], list[list[Modulated]], Appro
 
 
 def along_of(predictions: list[Prediction]) -> list[list[Prediction]]:
-    """Readings along the first two draws, beyond their linear responses by known differences."""
-    root = np.sqrt(DISCRETISATION.drawn_motions)
-    return [
-        [
-            Prediction({"gauge": p.values["gauge"] + root * p.derivatives["gauge"][..., DRAWN[k]] + BEYOND[k]}, {},
-                       cast(Any, None))
-            for k in range(2)
-        ]
-        for p in predictions
-    ]  # fmt: skip
+    """Readings along the motion that was measured, and along the first two draws, beyond their linear responses by
+    known differences."""
+    root, found = np.sqrt(DISCRETISATION.drawn_motions), []
+    for p in predictions:
+        slopes = p.derivatives["gauge"]
+        there = [0.9 * p.values["gauge"]]
+        there += [there[0] + root * slopes[..., DRAWN[k]] + BEYOND[k] for k in range(2)]
+        found.append([Prediction({"gauge": values}, {}, cast(Any, None)) for values in there])
+    return found
 
 
 def test_poses_are_open_as_their_draws_vary(case: Any) -> None:

@@ -204,19 +204,22 @@ def test_a_shape_is_drawn_for_a_benchmark_that_no_diagnosis_looks_at(small_rig: 
 def test_rollouts_along_open_motions_are_looked_at_and_those_that_fail_are_left_out(
     small_rig: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By how much one differs from its linear response, of which there is none here, is an error of each instant."""
+    """By how much the first one differs from its linear response, of which there is none here, is an error of each
+    instant; the second one fails."""
     still = Modulated("finger.offset_x_m", np.array([0.0, 1.0]), np.zeros(2))
+    plain: Future[Prediction] = Future()
     ended: Future[Prediction] = Future()
     lost: Future[Prediction] = Future()
     lost.set_exception(ConvergenceError("It does not converge.", "Begin elsewhere."))
     monkeypatch.setattr(Approximations, "open_motions", lambda *_: [still, still])
     monkeypatch.setattr(Approximations, "offsets", lambda *_: [still])
-    monkeypatch.setattr(Approximations, "submit_along", lambda *_: [lost, ended])
+    monkeypatch.setattr(Approximations, "submit_along", lambda *_: [plain, ended, lost])
     rig = small_rig()
     parameters = fit_parameters(rig, ["gel.E"])
     at = start_of(rig, parameters)
     slipped = np.where(T > 0.5, 3.0 * SIGMA, 0.0)[:, None] * COLUMNS
-    ended.set_result(Prediction({"gauge": at[0] * MATERIAL + slipped}, {}, cast(Trace, None)))
+    plain.set_result(Prediction({"gauge": 0.9 * MATERIAL}, {}, cast(Trace, None)))
+    ended.set_result(Prediction({"gauge": 0.9 * MATERIAL + slipped}, {}, cast(Trace, None)))
     engine, noise = cast(Any, Linear()), {"gauge": ChannelNoise(np.full(3, SIGMA), 0.0, "test")}
     runs = [recording(1, 0.0, at)]
     given = Problem(runs, noise, engine, prior=True, named=refinement_errors([], runs))

@@ -57,7 +57,9 @@ def given(small_rig: Callable[..., Rig], visit: Callable[..., Any]) -> tuple[App
     run = Run("own", "own", (), {"finger": PoseTrajectory(at, position, quaternion, NOISE)}, blank, TIMES[-1])
     parameters = fit_parameters(rig, ["gel.E_pa"])
     scaled = start_of(rig, parameters)
-    base = SimpleNamespace(rig=rig, parameters=parameters, scaled=scaled, predictions=[predictor.predict(rig, run)])
+    base = SimpleNamespace(
+        rig=rig, centre=rig, parameters=parameters, scaled=scaled, predictions=[predictor.predict(rig, run)]
+    )
     ones = tuple({m.channel: np.ones(m.values.shape) for m in r.measured} for r in [run])
     problem = SimpleNamespace(runs=[run], refined=[ErrorShape("mesh", ones)])
     return Approximations(predictor, cast(Any, base), cast(Any, problem)), predictor, base, run
@@ -101,17 +103,31 @@ def test_rollouts_follow_the_draws(given: Any) -> None:
     """Where a body answers linearly, along the draws of the open motions it does what their responses say."""
     found, predictor, base, run = given
     motions, jobs = found.open_motions(0, run), found.submit_along(0, run)
-    assert len(jobs) == DISCRETISATION.rolled_motions
-    columns = predictor.predict_responses(base.rig, run, base.parameters, base.scaled, [], motions[: len(jobs)])
-    values = base.predictions[0].values["side"]
+    count = DISCRETISATION.rolled_motions
+    assert len(jobs) == count + 1
+    columns = predictor.predict_responses(base.rig, run, base.parameters, base.scaled, [], motions[:count])
     responses = np.nan_to_num(columns.derivatives["side"][..., len(base.parameters) :])
-    beyond = of_rollouts(values, responses, [job.result().values["side"] for job in jobs])
-    assert beyond.shape == (len(STAMPS), len(jobs), 20)
-    whole = np.sqrt(DISCRETISATION.drawn_motions / len(jobs)) * responses
+    beyond = of_rollouts(responses, [job.result().values["side"] for job in jobs])
+    assert beyond.shape == (len(STAMPS), count, 20)
+    whole = np.sqrt(DISCRETISATION.drawn_motions / count) * responses
     assert np.linalg.norm(beyond) < 0.1 * np.linalg.norm(whole)
     exact = replace(run, poses={n: replace(p, noise=(0.0, 0.0)) for n, p in run.poses.items()})
     still = Approximations(predictor, base, cast(Any, SimpleNamespace(runs=[exact], refined=[])))
     assert still.submit_along(0, exact) == []
+
+
+def test_rollouts_along_draws_have_no_less_friction_than_the_rig(given: Any) -> None:
+    """A fit may have lost it; where it has found more, they have that."""
+    _, predictor, base, run = given
+    mu = base.rig.contacts[0].friction
+    for there, expected in ((0.1 * mu, mu), (1.2 * mu, 1.2 * mu)):
+        contacts = tuple(c.model_copy(update={"friction": there}) for c in base.rig.contacts)
+        rigs: list[Rig] = []
+        fitted = SimpleNamespace(**{**vars(base), "rig": base.rig.model_copy(update={"contacts": contacts})})
+        other = Approximations(predictor, cast(Any, fitted), cast(Any, SimpleNamespace(runs=[run], refined=[])))
+        other._engine = cast(Any, SimpleNamespace(submit=lambda rig, run, into=rigs: into.append(rig)))
+        other.submit_along(0, run)
+        assert [rig.contacts[0].friction for rig in rigs] == [expected] * (DISCRETISATION.rolled_motions + 1)
 
 
 def test_poses_without_noise_leave_no_motion_open(given: Any) -> None:
@@ -191,7 +207,9 @@ def test_a_sheet_that_touches_elsewhere_is_as_above_another_table() -> None:
     blank = Measured("wrist", "wrench", at[1:-1], np.zeros((49, 6)), tuple("xyzabc"))
     run = Run("press", "", (), {"gripper": PoseTrajectory(at, *strip.poses(path(at)))}, (blank,), float(path.end_s))
     predictor = SerialPredictor()
-    base = SimpleNamespace(rig=rig, parameters=[], scaled=np.zeros(0), predictions=[predictor.predict(rig, run)])
+    base = SimpleNamespace(
+        rig=rig, centre=rig, parameters=[], scaled=np.zeros(0), predictions=[predictor.predict(rig, run)]
+    )
     problem = SimpleNamespace(runs=[run], refined=[])
     found = Approximations(predictor, cast(Any, base), cast(Any, problem))
     table = rig.bodies["table"]
