@@ -307,12 +307,28 @@ def of_rollouts(responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarra
     """By what readings along drawn motions differ from their linear prediction, at each instant ``(n, r, m)``, for
     errors of unit variance. ``responses`` ``(n, m, r)``: linear ones to the draws, as scaled by
     :meth:`Approximations.open_motions`; ``along`` ``(n, m)`` each: readings along the motion that was measured, and
-    along the draws."""
+    along the draws.
+
+    What is alike in k readings in a row is known no better by all of them than by one: as errors that are independent
+    from instant to instant they have k times the variance, with k the integrated autocorrelation of the differences."""
     if len(along) < 2:
         return np.zeros((len(responses), 0, responses.shape[1]))
     whole = np.sqrt(DISCRETISATION.drawn_motions) * responses
-    found = [there - along[0] - whole[..., k] for k, there in enumerate(along[1:])]
-    return np.asarray(np.nan_to_num(np.stack(found, axis=1)) / np.sqrt(len(found)))
+    found = np.nan_to_num(np.stack([there - along[0] - whole[..., k] for k, there in enumerate(along[1:])], axis=1))
+    return np.asarray(np.sqrt(_integrated_autocorrelation(found) / found.shape[1]) * found)
+
+
+def _integrated_autocorrelation(values: np.ndarray) -> float:
+    """1 + 2 sum_l C(l) / C(0) of the autocovariances about zero of courses ``(n, ...)``, up to the first pair of lags
+    whose sum is not positive (Geyer, Stat. Sci. 7, 1992), at least 1."""
+    n = len(values)
+    spectrum = np.abs(np.fft.rfft(values.reshape(n, -1), 2 * n, axis=0)) ** 2
+    covariance = np.fft.irfft(spectrum.sum(axis=1), 2 * n)[:n]
+    if covariance[0] <= 0.0:
+        return 1.0
+    pairs = covariance[: n - n % 2].reshape(-1, 2).sum(axis=1) / covariance[0]
+    end = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
+    return float(max(1.0, 2.0 * pairs[:end].sum() - 1.0))
 
 
 def of_instants(t: np.ndarray, motions: Sequence[Modulated], shifted: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ RNG = np.random.default_rng(8)
 T = np.cumsum(0.05 + 0.004 * RNG.standard_normal(30))
 DRAWN, SHIFTED = np.arange(1, 5), np.arange(5, 7)
 SIGMA = 0.2
-BEYOND = np.random.default_rng(12).standard_normal((2, len(T), 3))
+BEYOND = np.random.default_rng(12).standard_normal((2, 1, 3)) * (-1.0) ** np.arange(len(T))[:, None]
 MESH = NamedError("mesh", "mesh", 1.0, 0.5)
 
 

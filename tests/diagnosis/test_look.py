@@ -226,4 +226,5 @@ def test_rollouts_along_open_motions_are_looked_at_and_those_that_fail_are_left_
     base = given.evaluate(rig, parameters, at)
     named = look(engine, base, given, [relaxation(0.1)], Approximations(engine, base, given)).named
     rows = np.sum(np.square(named.instant[0]["gauge"]), axis=1)
-    np.testing.assert_allclose(rows, slipped**2, atol=1e-15)
+    # It stays for 100 readings, which know it no better than one.
+    np.testing.assert_allclose(rows, 100.0 * slipped**2, rtol=1e-9, atol=1e-15)

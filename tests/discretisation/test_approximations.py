@@ -130,6 +130,26 @@ def test_rollouts_along_draws_have_no_less_friction_than_the_rig(given: Any) -> 
         assert [rig.contacts[0].friction for rig in rigs] == [expected] * (DISCRETISATION.rolled_motions + 1)
 
 
+def test_what_is_alike_for_many_readings_is_known_no_better_by_all_of_them() -> None:
+    """Of a course with the autocorrelation rho^l the sum of n readings has (1 + rho) / (1 - rho) n times the variance
+    of one; so have the errors of instants, independent ones and all."""
+    rng, n, rho = np.random.default_rng(13), 4000, 0.9
+    course = np.zeros((n, 4, 2))
+    for k in range(1, n):
+        course[k] = rho * course[k - 1] + np.sqrt(1.0 - rho**2) * rng.standard_normal((4, 2))
+    responses = rng.standard_normal((n, 2, 4))
+    plain = rng.standard_normal((n, 2))
+    along = [
+        plain,
+        *(plain + np.sqrt(DISCRETISATION.drawn_motions) * responses[..., k] + course[:, k] for k in range(4)),
+    ]
+    found = of_rollouts(responses, along)
+    assert np.sum(found**2) / np.sum(course**2 / 4.0) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.2)
+    white = [plain, *(a - course[:, k] + rng.standard_normal((n, 2)) for k, a in enumerate(along[1:]))]
+    assert np.mean(np.sum(of_rollouts(responses, white) ** 2, axis=1)) == pytest.approx(1.0, rel=0.1)
+    assert of_rollouts(responses, along[:1]).shape == (n, 0, 2)
+
+
 def test_poses_without_noise_leave_no_motion_open(given: Any) -> None:
     found, _, _, run = given
     exact = replace(run, poses={n: replace(p, noise=(0.0, 0.0)) for n, p in run.poses.items()})
