@@ -13,7 +13,8 @@ more than four frames has moved. One that stands out is kept where it may be phy
 - several markers of the frame, or of the nearest ones, miss by a similar vector, more of them than mistakes that are
   as frequent as those of the recording would by chance (binomial), even if half of them were alike;
 - the same marker stands out again and again, more often than mistakes that fall on any marker would;
-- more than ``SOLVE.outlier_frame_share`` of the markers of that frame stand out at once.
+- more than ``SOLVE.outlier_frame_share`` of the markers of that frame stand out at once, as where a model misses a
+  snap or a landing, and it misses what the nearest markers miss, as these do of theirs.
 
 What is far, the recording says: the least of these squared distances, of what is not kept for these reasons, is taken
 for a mixture of the noise and of a rare, wide scatter (a contaminated normal distribution, Tukey 1960), whose share and
@@ -176,7 +177,8 @@ def mistakes(measured: Measured, predicted: np.ndarray) -> Mask:
     most = np.maximum(2.0, SOLVE.outlier_frame_share * there.sum(axis=1))
     restless = (q > (0.5 * SOLVE.outlier_sd) ** 2).sum(axis=1) > most
     crowded = others.sum(axis=1) > most
-    mask = (found & ~restless[:, None]) | (others & ~crowded[:, None])
+    lone = _lone(miss, there, place, sigma, restless & found.any(axis=1))
+    mask = (found & (~restless[:, None] | lone)) | (others & ~crowded[:, None])
     return np.asarray(mask & (there.sum(axis=1) >= SOLVE.outlier_markers)[:, None])
 
 
@@ -222,6 +224,21 @@ def _alike(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> tuple
         nearest = np.argsort(distance, axis=1, kind="stable")[:, : SOLVE.outlier_neighbours]
         count[1, k, own] = np.take_along_axis(alike, nearest, axis=1).sum(axis=1)
     return count[0], count[1]
+
+
+def _lone(miss: np.ndarray, there: Mask, place: np.ndarray, sigma: float, frames: np.ndarray) -> Mask:
+    """Readings of some ``frames`` ``(n,)`` whose miss ``(n, m, d)`` is far from the median of those of the
+    ``SOLVE.outlier_neighbours`` nearest markers, beside how far the misses of the frame usually are from that."""
+    out = np.zeros(there.shape, dtype=bool)
+    for k in np.flatnonzero(frames):
+        seen = np.flatnonzero(there[k])
+        distance = np.linalg.norm(place[k][seen, None] - place[k][None, seen], axis=2)
+        np.fill_diagonal(distance, np.inf)
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, : SOLVE.outlier_neighbours]
+        away = np.sum((miss[k][seen] - np.median(miss[k][seen][nearest], axis=1)) ** 2, axis=1)
+        usual = max(float(np.median(away)) / float(chi2.median(miss.shape[2])), sigma**2)
+        out[k, seen] = away > SOLVE.outlier_sd**2 * usual
+    return out
 
 
 def _recurring(far: Mask) -> Mask:
