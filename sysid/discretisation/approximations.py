@@ -23,8 +23,9 @@ reading to reading: to which of two readings an impact counts hangs on where ste
 other readings than the last one (:func:`of_jumps`).
 
 A sensor reads the mean over a time w about its stamps, as a force sensor between two samples or a camera while its
-shutter is open, w^2 / 24 d^2y/dt^2 beyond what is there at the stamp. Of w nothing is known but that it is no longer
-than the interval T between two readings: evenly probable, w^2 / T^2 is 1/3 with the variance 4/45.
+shutter is open, w^2 / 24 d^2y/dt^2 beyond what is there at the stamp. Half of all sensors are taken to read an instant,
+as simulated ones do; of the others w is evenly probable up to the interval T between two readings, so that w^2 / T^2
+has the mean 1/6 and the variance 13/180.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class DiscretisationSettings:
             "contact range": (1.0, 0.3),
             "touching surface": (0.5, 0.5),
             "gel extent": (0.0, 0.1),
-            "averaging of a sensor": (1.0 / 3.0, 0.298),
+            "averaging of a sensor": (1.0 / 6.0, 0.269),
         },
         "1",
         "Mean and standard deviation of the size of each approximation, in units of the extrapolated error.",
