@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +36,13 @@ from sysid.fit.result import ChannelError, plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
+from sysid.progress.callback import Progress
+from sysid.progress.work import Work, work_of
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.progress import PROGRESS
 from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.optimum import Fitted
 from sysid.uncertainty.goodness_of_fit import no_success
-
-Progress = Callable[[float, str], None]
 
 
 def diagnose_runs(
@@ -49,7 +50,7 @@ def diagnose_runs(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    on_progress: Progress | None = None,
+    on_progress: Progress | Work | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Where no run is held
     out, the last of three or more is: what an effect predicts tells it from what follows noise and mesh. Raises
@@ -60,24 +61,27 @@ def diagnose_runs(
         runs, held_out = runs[:-1], runs[-1:]
         said = (f"{held_out[0].name} was held out, to see what effects predict, since no recording was.",)
     started = time.monotonic()
-    tell = on_progress or (lambda share, text: None)
-    with ParallelPredictor(os.cpu_count()) as engine:
-        fits, fitted, found = _searched(engine, rig, runs, held_out, tell)
+    work = _work(on_progress, len(runs) + len(held_out))
+    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine:
+        fits, fitted, found = _searched(engine, rig, runs, held_out, work)
         if fits.base.undecided and leaves_misfit(ledger_with(fitted)):
             # Too much was not explained to tell which time steps recordings follow, and with those of the rig is still.
-            again = _searched(
-                engine, rig, runs, held_out, lambda _, text: tell(0.96, f"{text}, with shorter steps"), True
-            )
+            again = _searched(engine, rig, runs, held_out, work, True)
             if least_temper(ledger_with(again[1])) < least_temper(ledger_with(fitted)):
                 fits, fitted, found = again
-        tell(0.97, "report")
+        work.enter("report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
         diagnosis, amended = _collect(rig, fits.base, fits, fitted, found, ledger)
     diagnosis.notes = (*said, *diagnosis.notes)
     diagnosis.parted = {run.name: run.parted for run in (*runs, *held_out) if run.parted}
     diagnosis.seconds = time.monotonic() - started
-    tell(1.0, "done")
+    if work is not on_progress:
+        work.done()
     return diagnosis, amended
+
+
+def _work(on_progress: Progress | Work | None, recordings: int) -> Work:
+    return work_of(on_progress, PROGRESS.diagnosis_rollouts, PROGRESS.diagnosis_between_s, recordings)
 
 
 def _searched(
@@ -85,15 +89,16 @@ def _searched(
     rig: Rig,
     runs: Sequence[Run],
     held_out: Sequence[Run],
-    tell: Progress,
+    work: Work,
     short: bool = False,
 ) -> tuple[SetFits, list[FittedSet], Posterior]:
     """The fits, the sets that were fitted, and the posterior. ``short``: as of :func:`fit_baseline`."""
-    tell(0.0, "first simulations")
-    base = fit_baseline(engine, rig, runs, held_out, tell, short=short)
-    tell(0.42, "a look at all effects")
+    work.enter("baseline", f"first simulations{', with shorter steps' if short else ''}")
+    base = fit_baseline(engine, rig, runs, held_out, work.say, short=short)
+    work.enter("effects", "a look at all effects")
     fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
-    return fits, *searched(fits, lambda share, text: tell(0.55 + 0.4 * share, text))
+    work.enter("sets of effects")
+    return fits, *searched(fits, work.say)
 
 
 def ledger_of(
@@ -106,10 +111,12 @@ def ledger_of(
 ) -> Ledger:
     """The ledger of a diagnosis: its baseline and its look at all effects, without a fit of one. ``shapes``: draws
     shapes of effects that no diagnosis looks at, of which it then has columns too."""
-    tell = on_progress or (lambda share, text: None)
-    with ParallelPredictor(os.cpu_count()) as engine:
-        base = fit_baseline(engine, rig, runs, held_out, tell)
-        tell(0.42, "a look at all effects")
+    rollouts = {name: PROGRESS.diagnosis_rollouts[name] for name in ("baseline", "effects")}
+    work = work_of(on_progress, rollouts, PROGRESS.diagnosis_between_s, len(runs) + len(held_out))
+    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine:
+        work.enter("baseline", "first simulations")
+        base = fit_baseline(engine, rig, runs, held_out, work.say)
+        work.enter("effects", "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         drawn = [] if shapes is None else drawn_shapes(base.fitted.rig, scales, shapes)
         ledger = SetFits(base, scales, drawn).baseline.ledger

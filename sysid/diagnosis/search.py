@@ -21,10 +21,8 @@ from sysid.comparison.priors import PRIORS
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits, Shapes
 from sysid.settings.diagnosis import DIAGNOSIS
 
-Tell = Callable[[float, str], None]
 
-
-def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
+def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet], Posterior]:
     """The baseline and all sets that were fitted, and the posterior."""
     fitted = [fits.baseline]
     tried: set[tuple[str, ...]] = {()}
@@ -35,7 +33,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
         room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
         parts = _parts(posterior, fitted, tried)
         if parts and room > 0:
-            tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), "whether all of its effects are needed")
+            say("whether all of its effects are needed")
             tried |= {part for part, _, _ in parts}
             with ThreadPoolExecutor(len(parts)) as threads:
                 more = threads.map(lambda part: fits.fit_without(part[1], part[2]), parts)
@@ -47,7 +45,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior]:
         wanted = [names for names in wanted if names not in tried][:room]
         if not wanted:
             return fitted, posterior
-        tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), " or ".join(" and ".join(names) for names in wanted))
+        say(" or ".join(" and ".join(names) for names in wanted))
         tried |= set(wanted)
         begun = [fitted[_at(found, names)] for names in wanted]
         shapes = [_shapes(found, names) for names in wanted]

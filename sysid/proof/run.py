@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,10 +22,9 @@ import yaml
 
 import sysid
 from sim_core.errors import ConfigError
+from sysid.progress.callback import Progress
 from sysid.proof.answer import read_answer
 from sysid.proof.seal import SEAL_FILE, file_digest
-
-Progress = Callable[[float, str], None]
 
 ANSWERS_FILE = "answers.json"
 ANSWERS_FOLDER = "answers"
