@@ -3,6 +3,7 @@ nine seconds of silence."""
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -84,6 +85,12 @@ def _bar(title: str) -> Iterator[_Bar]:
             bar.update(task, completed=share, words=text, left=left)
 
         yield _Bar(show)
+
+
+def share_of_line(line: str) -> float | None:
+    """The share that is done, of a line that :class:`Lines` has said; None of another line."""
+    found = re.match(r"[\w -]+: (\d+) % after \d+ s", line)
+    return None if found is None else float(found[1]) / 100.0
 
 
 class Lines:

@@ -3,7 +3,7 @@
 A stage says how many rollouts of which kind each recording needs in it, as counted over fits and diagnoses of several
 rigs, and the processor time that goes on between them. What rollouts take is measured while the first ones run, step by
 step, so that the time left is known before one has ended. How many processors a command has, next to what else runs on
-the machine, is the ratio of the time that has passed to the processor time of the process.
+the machine, is the ratio of the time that has passed to the processor time of the process, over the later half.
 """
 
 from __future__ import annotations
@@ -66,6 +66,7 @@ class Work:
         self._tell, self._stages, self._recordings = tell or silent, list(stages), recordings
         self._clock, self._processor = clock, processor
         self._started, self._spent = clock(), processor()
+        self._course = [(self._started, self._spent)]
         self._lock = RLock()
         self._said, self._share, self._text = float("-inf"), 0.0, ""
         self.costs = RolloutCosts(self._news)
@@ -107,8 +108,14 @@ class Work:
                         return None
                     done = self.costs.count(kind) - self._open.before.get(kind, 0.0) if on else 0.0
                     left += seconds * _left(count * self._recordings, done)
-            spent = self._processor() - self._spent
-            return left * (self._clock() - self._started) / spent if spent > 0.0 else left
+            return left * self._pace()
+
+    def _pace(self) -> float:
+        """Time that passes for each second of the process, over the later half of the time."""
+        now, spent = self._clock(), self._processor()
+        middle = 0.5 * (self._started + now)
+        at, then = next(known for known in reversed(self._course) if known[0] <= middle)
+        return (now - at) / (spent - then) if spent > then else 1.0
 
     def _between(self) -> float:
         """Processor time [s] between rollouts until now."""
@@ -123,6 +130,7 @@ class Work:
     def _say(self) -> None:
         now = self._clock()
         self._said = now
+        self._course.append((now, self._processor()))
         left = self.remaining()
         if left is not None:
             passed = now - self._started

@@ -71,9 +71,9 @@ class ProgressSettings:
     diagnosis_rollouts: Mapping[str, Mapping[str, float]] = setting(
         {
             "set-up": {"beginning": 2},
-            "baseline": {"plain": 6, "shorter": 2, "finer": 2, "derivatives": 7},
-            "effects": {"responses": 1, "plain": 14, "derivatives": 2},
-            "sets of effects": {"plain": 80, "derivatives": 40},
+            "baseline": {"plain": 3, "shorter": 2, "finer": 2, "derivatives": 12},
+            "effects": {"responses": 1, "plain": 1, "derivatives": 5},
+            "sets of effects": {"plain": 60, "derivatives": 30},
             "report": {},
         },
         "1",
@@ -81,7 +81,7 @@ class ProgressSettings:
         "measured",
     )
     diagnosis_between_s: Mapping[str, float] = setting(
-        {"set-up": 0.2, "baseline": 2.0, "effects": 10.0, "sets of effects": 60.0, "report": 20.0},
+        {"set-up": 0.6, "baseline": 2.5, "effects": 5.5, "sets of effects": 35.0, "report": 7.5},
         "s",
         "Processor time between rollouts of a diagnosis.",
         "measured",

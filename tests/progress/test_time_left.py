@@ -10,7 +10,7 @@ import pytest
 
 from sysid.progress import progress
 from sysid.progress.rollout_costs import Kind, RolloutCosts, kind_of
-from sysid.progress.terminal import Lines
+from sysid.progress.terminal import Lines, share_of_line
 from sysid.progress.time_left import TimeLeft, in_words
 from sysid.progress.work import Stage, Work, stages_of
 from sysid.settings.progress import PROGRESS
@@ -210,3 +210,13 @@ def test_stages_of_commands_have_kinds_that_exist() -> None:
         (PROGRESS.diagnosis_rollouts, PROGRESS.diagnosis_between_s),
     ):
         assert [s.name for s in stages_of(rollouts, between)] == list(rollouts) == list(between)
+
+
+def test_the_share_of_a_line_is_read_again(capsys: pytest.CaptureFixture[str]) -> None:
+    now = [0.0]
+    lines = Lines("diagnose", lambda: now[0])
+    now[0] = 30.0
+    lines(0.42, "baseline: 3 of 7")
+    assert share_of_line(capsys.readouterr().err) == 0.42
+    assert share_of_line("warning: the finger moved by 42 % after 3 s") is None
+    assert share_of_line("Traceback") is None
