@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, Lock, Thread
 
+from sim_core.core.build import on_compiling
 from sysid.progress.callback import TimedProgress
 from sysid.progress.interrupts import raise_remembered
 from sysid.progress.time_left import TimeLeft, in_words
@@ -23,11 +24,12 @@ def warn(text: str) -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[TimedProgress]:
-    """Show progress on stderr while the block runs. Raises ``KeyboardInterrupt`` for one that was swallowed before."""
+    """Show progress on stderr while the block runs, and what is compiled for the first time. Raises
+    ``KeyboardInterrupt`` for one that was swallowed before."""
     raise_remembered()
     shown: Lines | _Bar
     if sys.stderr.isatty():
-        with _bar(title) as shown:
+        with _bar(title) as shown, _compiling(shown.say):
             yield shown
         return
     shown = Lines(title)
@@ -35,10 +37,21 @@ def progress(title: str) -> Iterator[TimedProgress]:
     watch = Thread(target=_watch, args=(shown, ended), daemon=True)
     watch.start()
     try:
-        yield shown
+        with _compiling(shown.say):
+            yield shown
     finally:
         ended.set()
         watch.join()
+
+
+@contextmanager
+def _compiling(say: Callable[[str], None]) -> Iterator[None]:
+    """Within the block ``say`` is told what is compiled."""
+    on_compiling.append(say)
+    try:
+        yield
+    finally:
+        on_compiling.remove(say)
 
 
 def _watch(lines: Lines, ended: Event) -> None:
@@ -48,10 +61,12 @@ def _watch(lines: Lines, ended: Event) -> None:
 
 
 class _Bar:
-    """A bar of ``rich``. ``show``: takes the share, the time left in words, and what is being done."""
+    """A bar of ``rich``. ``show``: takes the share, the time left in words, and what is being done; ``say``: a line
+    above the bar."""
 
-    def __init__(self, show: Callable[[float, str, str], None]) -> None:
+    def __init__(self, show: Callable[[float, str, str], None], say: Callable[[str], None]) -> None:
         self._show, self._left, self._started = show, TimeLeft(), time.monotonic()
+        self.say = say
 
     def __call__(self, share: float, text: str) -> None:
         """So much is done; what is being done."""
@@ -84,7 +99,7 @@ def _bar(title: str) -> Iterator[_Bar]:
         def show(share: float, left: str, text: str) -> None:
             bar.update(task, completed=share, words=text, left=left)
 
-        yield _Bar(show)
+        yield _Bar(show, bar.console.print)
 
 
 def share_of_line(line: str) -> float | None:
@@ -111,6 +126,11 @@ class Lines:
             self._left.update(now - self._started, share)
             if int(10 * share) > self._tenth or now - self._heard >= PROGRESS.silence_s:
                 self._say(now)
+
+    def say(self, text: str) -> None:
+        """A line with something else than how far it is."""
+        with self._lock:
+            print(f"{self._title}: {text}", file=sys.stderr, flush=True)
 
     def time_left(self, seconds: float) -> None:
         """So much time [s] is left."""

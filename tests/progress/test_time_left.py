@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sim_core.core.build import build
 from sysid.progress import progress
 from sysid.progress.rollout_costs import Kind, RolloutCosts, kind_of
 from sysid.progress.terminal import Lines, share_of_line
@@ -220,3 +222,11 @@ def test_the_share_of_a_line_is_read_again(capsys: pytest.CaptureFixture[str]) -
     assert share_of_line(capsys.readouterr().err) == 0.42
     assert share_of_line("warning: the finger moved by 42 % after 3 s") is None
     assert share_of_line("Traceback") is None
+
+
+def test_what_is_compiled_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("fit"):
+        build(tmp_path / "drag_force_0123abcd.so", "", "int main() { return 0; }\n")
+    build(tmp_path / "drag_force_4567abcd.so", "", "int main() { return 0; }\n")
+    said = capsys.readouterr().err
+    assert said.splitlines() == ["fit: drag_force is compiled, which happens once on a machine"]
