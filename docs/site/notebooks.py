@@ -1,7 +1,7 @@
 """Executes notebooks of the examples and stores what they put out (``make notebooks``).
 
-Each runs in an empty folder. With its outputs a digest of its code is stored, so that a test finds outputs that are not
-of the code as it stands. Arguments: the notebooks; all of them without.
+Each runs in its folder, as a reader opens it. With its outputs a digest of its code is stored, so that a test finds
+outputs that are not of the code as it stands. Arguments: the notebooks; all of them without.
 """
 
 from __future__ import annotations
@@ -45,15 +45,14 @@ def executed(path: Path) -> dict[str, Any]:
     from nbclient import NotebookClient
 
     notebook = nbformat.read(path, as_version=4)
-    with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(
-            notebook,
-            timeout=LONGEST_S,
-            kernel_name="python3",
-            record_timing=False,
-            resources={"metadata": {"path": folder}},
-        )
-        client.execute()
+    client = NotebookClient(
+        notebook,
+        timeout=LONGEST_S,
+        kernel_name="python3",
+        record_timing=False,
+        resources={"metadata": {"path": str(path.parent)}},
+    )
+    client.execute()
     for cell in notebook.cells:
         if cell.cell_type == "code":
             cell.outputs = [o for o in cell.outputs if o.get("name") != "stderr"]
