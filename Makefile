@@ -8,7 +8,7 @@ LOCKER := $(VENV)/.locker
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs pictures test test-all test-variations lint format lock clean
+.PHONY: help demo docs gallery notebooks pictures test test-all test-variations lint format lock clean
 
 help:
 	@echo "make demo      record presses in which something is concealed, find out what, and write a report"
@@ -16,6 +16,8 @@ help:
 	@echo "make test-all  those too"
 	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
 	@echo "make docs      documentation as a site in out/site, links checked; needs no network"
+	@echo "make gallery   what each effect does to readings, as pictures for the documentation"
+	@echo "make notebooks  run the notebooks of examples/ and store what they put out"
 	@echo "make pictures  pictures of the documentation, from what make demo has written; needs Chromium and chromedriver"
 	@echo "make lint      style and types"
 	@echo "make format    put the code into the style that lint asks for"
@@ -37,6 +39,12 @@ test-variations: $(READY)
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "Open out/site/index.html"
+
+gallery: $(READY)
+	$(BIN)/python docs/site/gallery.py
+
+notebooks: $(READY)
+	$(BIN)/python docs/site/notebooks.py
 
 pictures: $(READY)
 	$(BIN)/python docs/site/pictures.py

@@ -20,10 +20,10 @@ from sim_core.effects import effect_by_name
 from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
-from sysid.cli.progress import progress
 from sysid.diagnosis.diagnose import diagnose_runs
 from sysid.diagnosis.result import Diagnosis
 from sysid.model.load import load_run
+from sysid.progress import progress
 from sysid.proof.seal import open_seal, write_seal
 from sysid.report import REPORT, write_diagnosis_report
 from sysid.simulate import simulate_to_bag
@@ -58,7 +58,7 @@ def main(folder: Path = DEFAULT) -> int:
         with progress(f"record {motion}") as report:
             print(simulate_to_bag(truth, experiment, folder / motion, seed=experiment.seed, on_progress=report))
     runs, held_out = ([load_run(rig, folder / n) for n in names] for names in (TRAINING, HELD_OUT))
-    with progress("diagnose", timed=False) as report:
+    with progress("diagnose") as report:
         diagnosis, _ = diagnose_runs(rig, runs, held_out, on_progress=report)
     diagnosis.write(folder / "diagnosis.json")
     page = write_diagnosis_report(diagnosis, folder / REPORT)

@@ -17,6 +17,7 @@ from sim_core.scene import Scene, build_scene
 from sim_core.sensing.observe import Observer
 from sim_core.simulate import Trace, interpolate, simulate, step_times
 from sysid.model.sensor_streams import predicted, total_delay
+from sysid.progress.callback import Progress
 from sysid.recording import RecordingWriter
 
 __all__ = [
@@ -66,7 +67,7 @@ def simulate_to_bag(
     refine: int = 1,
     noise: Noise | None = None,
     contact_forces: bool = False,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> str:
     """Simulate and write a contract bag; the returned text says what was written.
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 import inspect
 import sys
 from math import isfinite
+from pathlib import Path
 
 from sim_core.effects import Effect, EffectParameter, all_effects
 from sim_core.effects import hooks as interfaces
+
+PICTURES = Path(__file__).resolve().parents[1] / "pictures" / "effects"
+"""What :mod:`gallery` draws."""
 
 HEAD = """# Catalogue of effects
 
 This page is made from the registry of effects. An effect is a piece of physics that a rig may name
 (`effects: {NAME: {...}}`), a fit may estimate (`effects.NAME.PARAMETER`) and a diagnosis looks for. `thinshell effects`
-prints the same. [How effects are named in a rig, and how to add one](../effects.md).
+prints the same. Pictures show what each does to the readings of a rig, with the sizes of its example, over the noise of
+one reading (`make gallery`). [How effects are named in a rig, and how to add one](../effects.md).
 """
 
 
@@ -36,6 +41,8 @@ def interface(effect: Effect) -> str:
 
 def _section(effect: Effect) -> str:
     lines = [f"## {effect.name}", "", f"*{effect.title[0].upper()}{effect.title[1:]}.* {effect.words}", ""]
+    if (PICTURES / f"{effect.name}.png").is_file():
+        lines += [f"![Readings without {effect.name} and with it](../pictures/effects/{effect.name}.png)", ""]
     if effect.signature:
         lines += [f"**Left out of a model.** {effect.signature}", ""]
     if effect.twins:

@@ -12,6 +12,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from sim_core.core.lowering import header
@@ -96,12 +97,18 @@ def find_or_build(folders: tuple[Path, ...]) -> Path:
     return build(folders[-1] / name, laws)
 
 
+on_compiling: list[Callable[[str], None]] = []
+"""Called with a sentence before something is compiled, which takes seconds and happens once on a machine."""
+
+
 def build(path: Path, laws: str, main: str = '#include "core.cpp"\n') -> Path:
     """Compile ``main``, which may include ``laws.hpp``, to the library ``path``. Raises ``OSError`` where there is no
     compiler, or where it fails."""
     command = compiler()
     if command is None:
         raise OSError("no C++ compiler was found: install g++ or clang++, or set CXX")
+    for say in on_compiling:
+        say(f"{path.stem.rpartition('_')[0] or path.stem} is compiled, which happens once on a machine")
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
         (Path(scratch) / "laws.hpp").write_text(laws, encoding="utf-8")

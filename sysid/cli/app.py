@@ -49,7 +49,7 @@ from sysid.cli import (
     trajectory,
     validate,
 )
-from sysid.cli.progress import interrupts_remembered, warn
+from sysid.progress import interrupts_remembered, warn
 
 OWN_PACKAGES = {"sim_core", "sysid", "thinshell_ros"}
 REPORT = "Please report it on the project's issue tracker with the command and the output of --debug."

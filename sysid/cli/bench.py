@@ -10,7 +10,7 @@ import typer
 from sim_core.errors import ConfigError
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import library
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def bench(

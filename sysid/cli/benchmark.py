@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.bounds import number, whole_number
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def benchmark(

@@ -8,7 +8,7 @@ import typer
 
 from sysid.cli.bounds import number
 from sysid.cli.options import RigArgument, library, parse_names, parse_settings
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def check_gradients(

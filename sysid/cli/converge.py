@@ -9,7 +9,7 @@ import typer
 
 from sysid.cli.bounds import number
 from sysid.cli.options import RigArgument, check_new, library, parse_settings
-from sysid.cli.progress import progress, warn
+from sysid.progress import progress, warn
 
 
 def converge(

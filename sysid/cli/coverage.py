@@ -8,7 +8,7 @@ import typer
 
 from sysid.cli.bounds import number, whole_number
 from sysid.cli.options import ExperimentsArgument, ParamsOption, RigArgument, SeedOption, parse_names
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def coverage(

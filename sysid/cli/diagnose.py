@@ -15,8 +15,8 @@ from sysid.cli.options import (
     check_new,
     library,
 )
-from sysid.cli.progress import progress, warn
 from sysid.observations.selection import check_parts
+from sysid.progress import progress, warn
 
 
 def diagnose(
@@ -39,7 +39,7 @@ def diagnose(
     check_parts(bags, held_out or [])
     check_new(out, "folder")
     find = library("sysid.workflow", "diagnose_bags")
-    with progress("diagnose", timed=False) as report:
+    with progress("diagnose") as report:
         found = find(
             chosen,
             bags,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import FolderOption, check_new
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def experiments(

@@ -23,8 +23,8 @@ from sysid.cli.options import (
     parse_nuisance,
     parse_pairs,
 )
-from sysid.cli.progress import interrupts_reported, progress, warn
 from sysid.observations.selection import check_parts
+from sysid.progress import interrupts_reported, progress, warn
 
 NOT_CONVERGED = 3
 """Exit code."""
@@ -107,7 +107,7 @@ def fit(
     check_new(out, "folder")
     for finding in review(chosen):
         warn(finding.text)
-    with interrupts_reported(KEPT) as pressed, progress("fit", timed=False) as report:
+    with interrupts_reported(KEPT) as pressed, progress("fit") as report:
         result = fit_bags(
             chosen,
             bags,

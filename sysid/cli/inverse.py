@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.bounds import whole_number
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def inverse(

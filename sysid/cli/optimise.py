@@ -10,7 +10,7 @@ import typer
 
 from sysid.cli.bounds import number, whole_number
 from sysid.cli.options import SeedOption
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def optimise(

@@ -16,7 +16,7 @@ from sysid.cli.options import (
     parse_nuisance,
     parse_settings,
 )
-from sysid.cli.progress import progress, warn
+from sysid.progress import progress, warn
 
 
 def plan(

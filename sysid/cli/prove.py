@@ -11,7 +11,7 @@ import typer
 from sim_core.errors import ConfigError
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import FolderOption, SeedOption, check_new, library, parse_names
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 RIGS = ("bench", "strip", "gel")
 NOISES = ("nasty", "white")
@@ -91,7 +91,7 @@ def record(
 def run(folder: CasesFolder) -> None:
     """Diagnose every case without looking at the truth."""
     _check_cases(folder)
-    with progress("prove run", timed=False) as report:
+    with progress("prove run") as report:
         print(library("sysid.proof", "run_cases")(folder, on_progress=report))
 
 

@@ -9,7 +9,7 @@ import typer
 
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import RigArgument, parse_settings
-from sysid.cli.progress import progress, warn
+from sysid.progress import progress, warn
 
 if TYPE_CHECKING:
     from sim_core.rigs import Rig
@@ -90,7 +90,7 @@ def show(
         raise ConfigError("--host and --port are those of a live view.", "Add --live, or leave them away.")
     folder = out or Path(name)
     check_folder(folder)
-    with progress("show", timed=False) as report:
+    with progress("show") as report:
         subject = draw(chosen, what, folder, by=by, animation=animation, on_progress=report)  # type: ignore[arg-type]
     _tell(subject)
     for file in (PICTURE, PAGE, f"{ANIMATION}.{animation}"):
@@ -106,7 +106,7 @@ def _serve(rig: Rig, what: str | None, by: str | None, host: str | None, port: i
     check_quantity(by)
     where = (HOST if host is None else host, PORT if port is None else port)
     check(*where)
-    with progress("show", timed=False) as report:
+    with progress("show") as report:
         subject = subject_of(rig, what, report)
     _tell(subject)
     serve(subject, colourings(subject), by, *where)

@@ -11,7 +11,7 @@ import typer
 
 from sysid.cli.bounds import whole_number
 from sysid.cli.options import SeedOption
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def soak(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import FolderOption, check_bag, check_new
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def track(

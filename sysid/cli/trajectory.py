@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from sim_core.errors import ConfigError
 from sysid.cli.bounds import number
 from sysid.cli.options import RigArgument, check_new, parse_settings
-from sysid.cli.progress import progress, warn
+from sysid.progress import progress, warn
 
 
 class _MakeByDefault(TyperGroup):

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import library
-from sysid.cli.progress import progress
+from sysid.progress import progress
 
 
 def validate(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -27,14 +27,13 @@ from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
 from sysid.noise.estimate import as_declared, undeclared
 from sysid.observations.observations import Measured, Run
+from sysid.progress.callback import Progress
 from sysid.settings.solve import SOLVE
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import interval, names_undetermined, uncertainty
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.nuisance_estimates import confounded_with_nuisances
-
-Progress = Callable[[float, str], None]
 
 WORTH_NAMING = 0.05
 """Share of what is known of a parameter from which a channel is named as its source."""

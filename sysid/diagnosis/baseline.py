@@ -40,8 +40,6 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.outliers import Outliers, without_outliers, worth_another_fit
 from sysid.solve.residuals import Problem
 
-Tell = Callable[[float, str], None]
-
 
 @dataclass
 class Baseline:
@@ -68,9 +66,12 @@ class Baseline:
         return cast(SpaceMappedPredictor, self.problem.engine)
 
 
-def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Tell) -> Baseline:
-    """Fit the baseline. Recordings that have time steps keep these. Raises ``ThinshellError`` where a recording that is
-    given cannot be simulated; ones held out are left out then, with a note."""
+def fit_baseline(
+    engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], say: Callable[[str], None]
+) -> Baseline:
+    """Fit the baseline. Recordings that have time steps keep these. ``say``: takes what is being done, in words. Raises
+    ``ThinshellError`` where a recording that is given cannot be simulated; ones held out are left out then, with a
+    note."""
     coarser = coarsened(rig)
     rig = rig if coarser is None else coarser.rig
     parameters = with_known_priors(rig, fit_parameters(rig, open_parameters(rig)))
@@ -83,10 +84,10 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         own = [job.result() for job in jobs]
     else:
         runs, own = predicted_with_steps(engine, rigs, runs, noise)
-    tell(0.04, "cells and extent of gels")
+    say("cells and extent of gels")
     sparing = SparingPredictor(engine)
     reference, added, warnings = reference_for(sparing, rig, parameters, runs, held_out, noise, coarser)
-    tell(0.08, "error of mesh and time step")
+    say("error of mesh and time step")
 
     def stands(scaled: np.ndarray, own: Sequence[Prediction], known: Added | None = None) -> Standing:
         rigs = [rig_in(rig, parameters, scaled, run.name) for run in runs]
@@ -100,7 +101,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
         return Problem(clean, noise, model.engine, prior=True, named=refinement_errors(model.refined, clean))
 
     problem = problem_of(clean)
-    tell(0.15, "baseline fit")
+    say("baseline fit")
     fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     # While the model was far off, no mistake could be recognised, and chi-square was that of mistakes.
     again, _ = without_outliers(runs, fitted.predictions, noise)
@@ -112,20 +113,20 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     if rig.solver.inertia:
         runs, shorter, undecided = _shorter_steps(engine, problem, fitted, runs, noise)
     if shorter is not None:
-        tell(0.2, "baseline fit with shorter time steps")
+        say("baseline fit with shorter time steps")
         model = stands(fitted.scaled, shorter)
         problem = problem_of(without_outliers(runs, model.plain, noise)[0])
         start = fitted.scaled
         fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, start)
     elsewhere = None
     if _is_far(fitted):
-        tell(0.22, "other branches of contact")
+        say("other branches of contact")
         elsewhere = best_branch(model.engine, problem, fitted)
         if elsewhere is not None:
             fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations, rig, parameters, elsewhere)
     clean, outliers = without_outliers(runs, fitted.predictions, noise)
     noise = channel_noise(rig, clean, held_out)
-    tell(0.28, "error of mesh and time step where the fit stands")
+    say("error of mesh and time step where the fit stands")
     unknown = ""
     known = np.array([p.known_sd or p.prior_sd for p in parameters])
     within = DIAGNOSIS.error_measured_within_sd if reference is None else DIAGNOSIS.reference_within_sd
@@ -141,7 +142,7 @@ def fit_baseline(engine: AnyEngine, rig: Rig, runs: Sequence[Run], held_out: Seq
     if unknown:
         fitted.converged, fitted.message = False, unknown
     problem.engine = SpaceMappedPredictor(engine, model.engine.added)
-    tell(0.38, "held-out recordings")
+    say("held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +36,13 @@ from sysid.fit.result import ChannelError, plot_series, rms_errors
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
+from sysid.progress.callback import Progress
+from sysid.progress.work import Work, work_of
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.progress import PROGRESS
 from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.solve.optimum import Fitted
 from sysid.uncertainty.goodness_of_fit import no_success
-
-Progress = Callable[[float, str], None]
 
 
 def diagnose_runs(
@@ -49,7 +50,7 @@ def diagnose_runs(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    on_progress: Progress | None = None,
+    on_progress: Progress | Work | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Where no run is held
     out, the last of three or more is: what an effect predicts tells it from what follows noise and mesh. Raises
@@ -60,38 +61,39 @@ def diagnose_runs(
         runs, held_out = runs[:-1], runs[-1:]
         said = (f"{held_out[0].name} was held out, to see what effects predict, since no recording was.",)
     started = time.monotonic()
-    tell = on_progress or (lambda share, text: None)
-    with ParallelPredictor(os.cpu_count()) as engine:
-        fits, fitted, found = _searched(engine, rig, runs, held_out, tell)
-        tell(0.97, "report")
+    work = _work(on_progress, len(runs) + len(held_out))
+    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine:
+        fits, fitted, found = _searched(engine, rig, runs, held_out, work)
+        work.enter("report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
         diagnosis, amended = _collect(rig, fits.base, fits, fitted, found, ledger)
     diagnosis.notes = (*said, *diagnosis.notes)
     diagnosis.parted = {run.name: run.parted for run in (*runs, *held_out) if run.parted}
     diagnosis.seconds = time.monotonic() - started
-    tell(1.0, "done")
+    if work is not on_progress:
+        work.done()
     return diagnosis, amended
 
 
+def _work(on_progress: Progress | Work | None, recordings: int) -> Work:
+    return work_of(on_progress, PROGRESS.diagnosis_rollouts, PROGRESS.diagnosis_between_s, recordings)
+
+
 def _searched(
-    engine: ParallelPredictor, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], tell: Progress
+    engine: ParallelPredictor, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], work: Work
 ) -> tuple[SetFits, list[FittedSet], Posterior]:
     """The fits, the sets that were fitted, and the posterior."""
-    part = tell
+    more = ""
     while True:
-        part(0.0, "first simulations")
-        base = fit_baseline(engine, rig, runs, held_out, part)
-        part(0.42, "a look at all effects")
+        work.enter("baseline", f"first simulations{more}")
+        base = fit_baseline(engine, rig, runs, held_out, work.say)
+        work.enter("effects", f"a look at all effects{more}")
         fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
-        fitted, posterior, others = searched(fits, _part_of(part, 0.55, 0.95))
+        work.enter("sets of effects")
+        fitted, posterior, others = searched(fits, work.say)
         if posterior is not None:
             return fits, fitted, posterior
-        runs, part = others, _part_of(tell, 0.7, 0.97, ", with shorter time steps")
-
-
-def _part_of(tell: Progress, start: float, end: float, more: str = "") -> Progress:
-    """Progress of a part of the work, from a share of it to another one."""
-    return lambda share, text: tell(start + (end - start) * share, text + more)
+        runs, more = others, ", with shorter time steps"
 
 
 def ledger_of(
@@ -104,10 +106,12 @@ def ledger_of(
 ) -> Ledger:
     """The ledger of a diagnosis: its baseline and its look at all effects, without a fit of one. ``shapes``: draws
     shapes of effects that no diagnosis looks at, of which it then has columns too."""
-    tell = on_progress or (lambda share, text: None)
-    with ParallelPredictor(os.cpu_count()) as engine:
-        base = fit_baseline(engine, rig, runs, held_out, tell)
-        tell(0.42, "a look at all effects")
+    rollouts = {name: PROGRESS.diagnosis_rollouts[name] for name in ("baseline", "effects")}
+    work = work_of(on_progress, rollouts, PROGRESS.diagnosis_between_s, len(runs) + len(held_out))
+    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine:
+        work.enter("baseline", "first simulations")
+        base = fit_baseline(engine, rig, runs, held_out, work.say)
+        work.enter("effects", "a look at all effects")
         scales = recording_scales([*base.problem.runs, *base.check.runs])
         drawn = [] if shapes is None else drawn_shapes(base.fitted.rig, scales, shapes)
         ledger = SetFits(base, scales, drawn).baseline.ledger

@@ -25,10 +25,8 @@ from sysid.diagnosis.fitted_sets import FittedSet, SetFits, Shapes
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
 
-Tell = Callable[[float, str], None]
 
-
-def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior | None, list[Run]]:
+def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet], Posterior | None, list[Run]]:
     """The baseline and all sets that were fitted, and the posterior. Where recordings follow other time steps, all that
     are given with these, and no posterior; else no recordings."""
     fitted = [fits.baseline]
@@ -38,7 +36,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior | No
         best = min(fitted, key=lambda one: one.misfit)
         if best.names != clearest:
             clearest = best.names
-            tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), "mistakes of trackers and sensors")
+            say("mistakes of trackers and sensors")
             fitted = fits.without_mistakes_of(best, fitted) or fitted
             if not asked and (others := fits.with_steps_that_it_follows(_same(fitted, best))):
                 return fitted, None, others
@@ -48,7 +46,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior | No
         room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
         parts = _parts(posterior, fitted, tried)
         if parts and room > 0:
-            tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), "whether all of its effects are needed")
+            say("whether all of its effects are needed")
             tried |= {part for part, _, _ in parts}
             with ThreadPoolExecutor(len(parts)) as threads:
                 more = threads.map(lambda part: fits.fit_without(part[1], part[2]), parts)
@@ -61,7 +59,7 @@ def searched(fits: SetFits, tell: Tell) -> tuple[list[FittedSet], Posterior | No
         if not wanted:
             others = [] if asked or not leaves_misfit(ledger_with(fitted)) else fits.with_steps_that_it_follows(best)
             return fitted, None if others else posterior, others
-        tell(len(fitted) / (DIAGNOSIS.fitted_sets + 1), " or ".join(" and ".join(names) for names in wanted))
+        say(" or ".join(" and ".join(names) for names in wanted))
         tried |= set(wanted)
         begun = [fitted[_at(found, names)] for names in wanted]
         shapes = [_shapes(found, names) for names in wanted]

@@ -29,6 +29,7 @@ from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import Run
+from sysid.progress.callback import Progress
 from sysid.settings.discretisation import DISCRETISATION
 
 MESH, STEP, CONTACT = "cells", "time step", "contact"
@@ -89,7 +90,7 @@ def converge(
     noise: Mapping[str, ChannelNoise],
     *,
     most_s: float = 600.0,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> Convergence:
     """Refine a rig until halving its cells, its time step, and the range of its contacts changes no channel of the runs
     by more than a third of its noise. ``most_s`` [s]: longest wall time of one simulation of all runs that is begun."""

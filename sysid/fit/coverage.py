@@ -40,12 +40,11 @@ from sysid.model.nuisance_parameters import KINDS, nuisance_parameters
 from sysid.model.parameters import FitParameter, fit_parameters, rig_at, start_of
 from sysid.model.predictor import SerialPredictor
 from sysid.observations.observations import Measured, Run
+from sysid.progress.callback import Progress
 from sysid.settings.fit import FIT
 from sysid.settings.model import MODEL
 from sysid.simulate import Noise, WhiteNoise, simulate_to_bag
 from sysid.solve.interruption import reason_of
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from sysid.discretisation.refinement import (
 from sysid.fit.given_values import given, said_of_rise, said_of_stay
 from sysid.fit.marker_field import marker_fields
 from sysid.fit.minimum_norm import minimum_norm_solution
-from sysid.fit.multistart import Evaluations, Progress, Searches, Step
+from sysid.fit.multistart import Evaluations, Searches, Step
 from sysid.fit.options import FitOptions, Intervals
 from sysid.fit.pressed_gels import pressed_gels
 from sysid.fit.result import (
@@ -46,7 +46,10 @@ from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.data_quality import data_quality_warnings
 from sysid.noise.estimate import channel_noise, column_groups, overruled
 from sysid.observations.observations import Run, check_apart, of_recording
+from sysid.progress.callback import Progress
+from sysid.progress.work import Work, work_of
 from sysid.settings.fit import FIT
+from sysid.settings.progress import PROGRESS
 from sysid.solve.covariance import Finding, names_undetermined
 from sysid.solve.interruption import ENDS_EARLY, end_unconverged, interrupts_ignored, reason_of
 from sysid.solve.nonsmooth_trust_region import AT_KINK
@@ -73,7 +76,7 @@ def fit_runs(
     *,
     held_out: Sequence[Run] = (),
     engine: AnyEngine | None = None,
-    on_progress: Progress | None = None,
+    on_progress: Progress | Work | None = None,
     on_step: Callable[[Step], None] | None = None,
 ) -> tuple[FitResult, Rig]:
     """Fit ``names`` to ``runs``; the result and the rig with the fitted values, of nuisances too.
@@ -87,27 +90,15 @@ def fit_runs(
         rig, names, priors=options.priors, bounds=options.bounds, per_bag=options.per_bag,
         bags=[run.name for run in runs],
     )  # fmt: skip
-    on_progress = _forward(on_progress)
-    if on_progress is not None:
-        on_progress(0.0, "first simulations")
-    evaluations = Evaluations(options, on_progress, on_step)
-    own = ParallelPredictor(os.cpu_count()) if engine is None else nullcontext(engine)
+    work = work_of(on_progress, PROGRESS.fit_rollouts, PROGRESS.fit_between_s, len(runs))
+    work.enter("search", "first simulations")
+    evaluations = Evaluations(options, work.say, on_step)
+    own = ParallelPredictor(os.cpu_count(), costs=work.costs) if engine is None else nullcontext(engine)
     with own as engine:
-        return _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, on_progress)
-
-
-def _forward(on_progress: Progress | None) -> Progress | None:
-    """Progress that never goes back, also where a fit is searched for again."""
-    if on_progress is None:
-        return None
-    tell, done = on_progress, 0.0
-
-    def report(share: float, text: str) -> None:
-        nonlocal done
-        done = max(done, share)
-        tell(done, text)
-
-    return report
+        found = _fit_runs(engine, rig, runs, asked, held_out, options, evaluations, work)
+    if work is not on_progress:
+        work.done()
+    return found
 
 
 def _shown(runs: Sequence[Run], channel: str, noise: ChannelNoise) -> dict[str, float | str]:
@@ -127,7 +118,7 @@ def _fit_runs(
     held_out: Sequence[Run],
     options: FitOptions,
     evaluations: Evaluations,
-    on_progress: Progress | None,
+    work: Work,
 ) -> tuple[FitResult, Rig]:
     allowed_for = nuisance_parameters(rig, runs, asked, options.kinds) if asked else []
     bias = bool(asked) and has_bias(rig, runs, asked, options.kinds)
@@ -136,10 +127,10 @@ def _fit_runs(
     as_given = [engine.submit(rig, run) for run in runs]
     first = start_of(rig, parameters)
     search = Searches(rig, parameters, options, evaluations)
-    found = _searched(engine, rig, runs, parameters, first, held_out, options, search, evaluations, bias, on_progress)
+    found = _searched(engine, rig, runs, parameters, first, held_out, options, search, evaluations, bias, work)
     look, problem, fitted = found.look, found.problem, found.fitted
-    if fitted.interrupted and on_progress is not None:
-        on_progress(0.97, "interrupted; what was found is put together")
+    if fitted.interrupted:
+        work.say("interrupted; what was found is put together")
     with interrupts_ignored():
         before = problem.compare([future.result() for future in as_given], rig, [], np.zeros(0))
         own = error_sizes(problem)
@@ -187,8 +178,8 @@ def _fit_runs(
         sentences = ["What was fitted to a window that does not begin at rest means nothing.", *moved, *sentences]
     if held_out and any(p.bag for p in asked):
         notes.append("Held-out recordings are predicted with the mean of the values that each bag has for itself.")
-    if held_out and on_progress is not None:
-        on_progress(0.98, "held-out recordings")
+    if held_out:
+        work.say("held-out recordings")
     final = with_mean_nuisances(fitted.rig, nuisances)
     scores, said = all_scored(engine, fitted.rig, rig, final, held_out, problem.noise, bias, own)
     notes += said
@@ -271,7 +262,7 @@ def _searched(
     search: Searches,
     evaluations: Evaluations,
     bias: bool,
-    on_progress: Progress | None,
+    work: Work,
 ) -> _Found:
     """The best fit from scaled values ``first`` ``(p,)``, also from where the looks along its intervals lead."""
     look = _Look(list(runs), list(held_out), [], None)
@@ -305,7 +296,7 @@ def _searched(
         better = None
         try:
             given_up = max(0.0, fitted.chi2 - ended.chi2)
-            profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, on_progress, given_up)
+            profiles, findings, better = _profiled(problem, fitted, findings, options.intervals, work, given_up)
         except ENDS_EARLY as error:
             findings.append(Finding(f"Intervals were not looked at along the likelihood: {reason_of(error)}"))
         if better is None:
@@ -407,7 +398,7 @@ def _profiled(
     fitted: Fitted,
     findings: list[Finding],
     intervals: Intervals,
-    on_progress: Progress | None,
+    work: Work,
     given_up: float = 0.0,
 ) -> tuple[list[Profile], list[Finding], np.ndarray | None]:
     """Profiles, where they are wanted, what is then known of the parameters in words, and scaled values ``(p,)`` at
@@ -425,13 +416,8 @@ def _profiled(
         )
         return [], [*findings, Finding(f"No {what}, since the fit did not converge.")], None
 
-    searched = FIT.search_time_shares[intervals]
-
-    def tell(share: float, text: str) -> None:
-        if on_progress is not None:
-            on_progress(searched + (0.98 - searched) * share, text)
-
-    profiler = Profiler(problem, fitted, tell, given_up)
+    work.enter("intervals", "ends of intervals")
+    profiler = Profiler(problem, fitted, work.say, given_up)
     profiles: list[Profile] = []
     if intervals == "checked":
         findings = [*findings, *(Finding(sentence) for sentence in profiler.check())]

@@ -37,8 +37,6 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.goodness_of_fit import worst
 
-Progress = Callable[[float, str], None]
-
 
 @dataclass(frozen=True)
 class Step:
@@ -51,18 +49,17 @@ class Step:
 
 
 class Evaluations:
-    """Counts the evaluations of a fit, at most those that the options allow, and tells of each."""
+    """Counts the evaluations of a fit, at most those that the options allow, and tells of each. ``say``: takes what is
+    being done, in words."""
 
     def __init__(
         self,
         options: FitOptions,
-        on_progress: Progress | None = None,
+        say: Callable[[str], None] | None = None,
         on_step: Callable[[Step], None] | None = None,
     ) -> None:
         self._most = options.max_evaluations
-        self._typical = FIT.typical_evaluations * options.starts
-        self._searched = FIT.search_time_shares[options.intervals]
-        self._on_progress = on_progress
+        self._say = say
         self._on_step = on_step
         self.done = 0
 
@@ -79,9 +76,9 @@ class Evaluations:
         return fitted
 
     def tell(self, text: str) -> None:
-        """Say what is going on, with how much is done, about."""
-        if self._on_progress is not None:
-            self._on_progress(self._searched * (1.0 - np.exp(-self.done / self._typical)), text)
+        """Say what is going on."""
+        if self._say is not None:
+            self._say(text)
 
     def __call__(self, best: Fitted) -> None:
         """One more has been made, after which ``best`` is the best of its search."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
 from io import StringIO
@@ -20,6 +20,7 @@ from sim_core.rigs.motion import Experiment, compile_experiment
 from sysid.gradients.beyond import KINDS, MEMORY, NODE_M, RATIO, SHIFT_M, SPEED_M_S, TURN_RAD, StateGradients
 from sysid.gradients.compare import Comparison
 from sysid.gradients.differences import STEPS, Row
+from sysid.progress.callback import Progress
 
 WIDTH = 150
 
@@ -43,7 +44,7 @@ def check_gradients(
     until_s: float | None = None,
     steps: Sequence[float] = STEPS,
     as_json: bool = False,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> tuple[bool, str]:
     """Compare forward sensitivities, adjoint and central differences; whether all agree, and the table.
 

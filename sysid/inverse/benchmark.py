@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,9 +22,8 @@ from sysid.io.atomic_folder import whole_file
 from sysid.model.load import load_run
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.parameters import fit_parameters, start_of
+from sysid.progress.callback import Progress
 from sysid.simulate import simulate_to_bag
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)

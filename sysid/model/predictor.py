@@ -23,6 +23,7 @@ from sysid.model.sensor_streams import clock_response, predicted, predicted_deri
 from sysid.model.sequence import LeftBefore, frozen_before
 from sysid.model.time_span import after_known_motion, rollout_times
 from sysid.observations.observations import Measured, Run
+from sysid.progress.rollout_costs import OnStep
 from sysid.settings.model import MODEL
 
 
@@ -54,14 +55,16 @@ class SerialPredictor:
         *,
         keep_path: bool = False,
         warm_start: NodePath | None = None,
+        on_step: OnStep | None = None,
     ) -> Prediction:
-        """Predict one run. ``keep_path``, ``warm_start``: as of :func:`sim_core.simulate.simulate`."""
+        """Predict one run. ``keep_path``, ``warm_start``, ``on_step``: as of
+        :func:`sim_core.simulate.simulate`."""
         scene = self._scenes.of(rig, refine)
         rig = placed(scene, run.firsts)
         scene.use(rig)
         dt = dt or rig.solver.dt_s
         left, times = self._left.of(scene, run, dt, refine), rollout_times([rig], run, dt)
-        trace = simulate(scene, run.poses, times, keep_path=keep_path, warm_start=warm_start, left=left)
+        trace = simulate(scene, run.poses, times, on_step, keep_path=keep_path, warm_start=warm_start, left=left)
         return Prediction(_at_stamps(trace, rig, run), {}, trace)
 
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
@@ -97,9 +100,11 @@ class SerialPredictor:
         *,
         keep_path: bool = False,
         warm_start: NodePath | None = None,
+        on_step: OnStep | None = None,
     ) -> Prediction:
         """Predict one run at ``scaled`` values of the parameters, with derivatives, which are zero by those that other
-        runs have for themselves. ``keep_path``, ``warm_start``: as of :func:`sim_core.simulate.simulate`."""
+        runs have for themselves. ``keep_path``, ``warm_start``, ``on_step``: as of
+        :func:`sim_core.simulate.simulate`."""
         own = acting_in(parameters, run.name)
         if len(own) < len(parameters):
             found = self.predict_with_derivatives(
@@ -111,6 +116,7 @@ class SerialPredictor:
                 dt,
                 keep_path=keep_path,
                 warm_start=warm_start,
+                on_step=on_step,
             )
             wide = {c: np.zeros((*d.shape[:-1], len(parameters))) for c, d in found.derivatives.items()}
             for c, d in found.derivatives.items():
@@ -125,7 +131,7 @@ class SerialPredictor:
         left = self._left.along(scene, run, dt, refine, along)
         times = rollout_times([here, *(end for d in along for end in (d.low, d.high))], run, dt)
         trace, raw = simulate_tangent(
-            scene, run.poses, times, along, keep_path=keep_path, warm_start=warm_start, left=left
+            scene, run.poses, times, along, on_step, keep_path=keep_path, warm_start=warm_start, left=left
         )
         values = _at_stamps(trace, here, run)
         derivatives = {}
@@ -147,6 +153,7 @@ class SerialPredictor:
         *,
         keep_path: bool = False,
         warm_start: NodePath | None = None,
+        on_step: OnStep | None = None,
     ) -> Prediction:
         """As :meth:`predict_with_derivatives`, with the responses of all readings to each of the ``candidates``, then
         to changes of parameters in time, after the derivatives (:mod:`sysid.model.responses`); NaN: one that could not
@@ -175,7 +182,16 @@ class SerialPredictor:
         if left is not None:
             left = left.along(np.arange(len(along)), len(whole))
         trace, raw = simulate_responses(
-            scene, run.poses, times, whole, amendments, courses, keep_path=keep_path, warm_start=warm_start, left=left
+            scene,
+            run.poses,
+            times,
+            whole,
+            amendments,
+            courses,
+            on_step,
+            keep_path=keep_path,
+            warm_start=warm_start,
+            left=left,
         )
         values = _at_stamps(trace, here, run)
         others: dict[int, dict[str, np.ndarray]] = {}

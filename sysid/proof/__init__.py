@@ -6,8 +6,10 @@ Only :mod:`sysid.proof.generator` and :mod:`sysid.proof.truths` know how cases a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+
+from sysid.progress.callback import Progress
 
 __all__ = [
     "concealable",
@@ -21,8 +23,6 @@ __all__ = [
     "run_cases",
     "score_cases",
 ]
-
-Progress = Callable[[float, str], None]
 
 
 def make_cases(

@@ -12,7 +12,7 @@ them is their largest.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +26,7 @@ from sysid.comparison.learning import UNDESCRIBED, Case, learnt_form, learnt_wei
 from sysid.comparison.ledger import Ledger, read_ledger
 from sysid.comparison.posterior import Compared, Posterior, compared, judged
 from sysid.comparison.priors import PRIORS, Priors, feature_names
+from sysid.progress.callback import Progress
 from sysid.proof.ledgers import LEDGER_FILE
 
 TRACES = (2.0, 100.0)
@@ -154,7 +155,7 @@ def make_curve(
     cases: int,
     seed: int = 0,
     folds: int = 1,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> str:
     """Judge ``cases`` drawn cases over the empty ledgers of a folder, write ``curve.json`` into ``out`` and return the
     table. ``folds``: parts of these ledgers, the cases of each judged by prior weights that are learnt from those of

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,13 @@ import yaml
 from sim_core.rigs import load_rig
 from sysid.diagnosis.diagnose import ledger_of
 from sysid.model.load import load_runs
+from sysid.progress.callback import Progress
 from sysid.proof.run import case_folders
 
 LEDGER_FILE = "ledger.npz"
 
 
-def make_ledgers(folder: Path, *, on_progress: Callable[[float, str], None] | None = None) -> str:
+def make_ledgers(folder: Path, *, on_progress: Progress | None = None) -> str:
     """Write ``ledger.npz`` into every case that has none yet; what a case conceals is not read."""
     cases = case_folders(folder)
     tell = on_progress or (lambda share, text: None)

@@ -13,8 +13,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,10 @@ import yaml
 
 import sysid
 from sim_core.errors import ConfigError
+from sysid.progress.callback import Progress, silent
+from sysid.progress.terminal import share_of_line
 from sysid.proof.answer import read_answer
 from sysid.proof.seal import SEAL_FILE, file_digest
-
-Progress = Callable[[float, str], None]
 
 ANSWERS_FILE = "answers.json"
 ANSWERS_FOLDER = "answers"
@@ -47,11 +48,15 @@ def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
     """Diagnose all cases that have no answer yet; errors are recorded and tried again by the next call."""
     cases = case_folders(folder)
     diagnoses = folder / ANSWERS_FOLDER
-    for k, case in enumerate(cases):
-        if on_progress is not None:
-            on_progress(k / len(cases), case.name)
-        if not (diagnoses / case.name / DIAGNOSIS_FILE).is_file():
-            _diagnose(case, diagnoses / case.name)
+    tell = on_progress or silent
+    missing = [case for case in cases if not (diagnoses / case.name / DIAGNOSIS_FILE).is_file()]
+    for k, case in enumerate(missing):
+
+        def report(share: float, at: int = k, name: str = case.name) -> None:
+            tell((at + share) / len(missing), name)
+
+        report(0.0)
+        _diagnose(case, diagnoses / case.name, report)
     index: dict[str, Any] = {
         "seal": _seal(folder),
         "cases": {case.name: _entry(diagnoses / case.name) for case in cases},
@@ -66,26 +71,14 @@ def run_cases(folder: Path, *, on_progress: Progress | None = None) -> str:
     return "\n".join(lines)
 
 
-def _diagnose(case: Path, answer: Path) -> None:
-    """Run the diagnosis of one case and keep what it wrote."""
+def _diagnose(case: Path, answer: Path, report: Callable[[float], None]) -> None:
+    """Run the diagnosis of one case and keep what it wrote. ``report``: takes the share of it that is done."""
     with tempfile.TemporaryDirectory(prefix="case_") as temporary:
         here = Path(temporary)
         shutil.copytree(case, here / "case")
         command = [sys.executable, "-m", "sysid", "diagnose", *_arguments(here / "case"), "--out", "answer"]
         started = time.monotonic()
-        try:
-            done = subprocess.run(
-                command,
-                cwd=here,
-                env=_environment(),
-                capture_output=True,
-                text=True,
-                timeout=TIME_LIMIT_S,
-                check=False,
-            )
-            code, output = done.returncode, f"{done.stdout}\n{done.stderr}"
-        except subprocess.TimeoutExpired:
-            code, output = -1, f"not finished after {TIME_LIMIT_S:g} s"
+        code, output = _followed(command, here, report)
         seconds = time.monotonic() - started
         written = here / "answer"
         error = ""
@@ -101,6 +94,30 @@ def _diagnose(case: Path, answer: Path) -> None:
         shutil.rmtree(partial, ignore_errors=True)
         shutil.copytree(written, partial)
         partial.rename(answer)
+
+
+def _followed(command: Sequence[str], folder: Path, report: Callable[[float], None]) -> tuple[int, str]:
+    """Exit code and output of a command that says how far it is, which is reported."""
+    lines: list[str] = []
+    with subprocess.Popen(
+        command, cwd=folder, env=_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as child:
+        overdue = threading.Timer(TIME_LIMIT_S, child.kill)
+        overdue.start()
+        try:
+            for line in child.stdout or ():
+                lines.append(line)
+                share = share_of_line(line)
+                if share is not None:
+                    report(share)
+            code = child.wait()
+        except BaseException:
+            child.kill()
+            raise
+        finally:
+            timely = overdue.is_alive()
+            overdue.cancel()
+    return (code, "".join(lines)) if timely else (-1, f"not finished after {TIME_LIMIT_S:g} s")
 
 
 def _arguments(case: Path) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from sim_core.optimise.benchmark import HEADS, Row, cells, results_of, run_folde
 from sim_core.optimise.run import TRACE
 from sim_core.rigs import load_rig
 from sim_core.tasks.load import MadeTask, load_task
+from sysid.progress.callback import Progress
 from sysid.report.optimisation_curve import draw_curves
 from sysid.report.page import embedded_json, write_page
 from sysid.show.animation import animate
@@ -24,7 +25,7 @@ MOTION = "motion.gif"
 
 
 def write_benchmark_page(
-    folder: Path, tasks: Sequence[str], methods: Sequence[str], rows: Sequence[Row], say: Callable[[float, str], None]
+    folder: Path, tasks: Sequence[str], methods: Sequence[str], rows: Sequence[Row], say: Progress
 ) -> Path:
     """Write the page of a table into its folder. Animations that are there already are not made again."""
     seeds = rows[0].seeds if rows else 0
@@ -57,7 +58,7 @@ def _section(
     methods: Sequence[str],
     rows: Sequence[Row],
     seeds: int,
-    say: Callable[[float, str], None],
+    say: Progress,
 ) -> dict[str, Any]:
     runs = [
         (method, result, run_folder(folder, made, method, seed))
@@ -82,7 +83,7 @@ def _section(
     return found
 
 
-def _motion(place: Path, say: Callable[[float, str], None]) -> bytes:
+def _motion(place: Path, say: Progress) -> bytes:
     """The animation of a run, made where it is not there yet."""
     path, trace = place / MOTION, place / TRACE
     if not path.exists() or path.stat().st_mtime < trace.stat().st_mtime:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,9 +13,8 @@ from sim_core.rigs.load import names_in
 from sim_core.rigs.motion import Experiment, load_experiment
 from sysid.design.experiment_design import Outlook, plan_experiments
 from sysid.io.atomic_folder import whole_file, whole_folder
+from sysid.progress.callback import Progress
 from sysid.report.motion_picture import draw_experiment
-
-Progress = Callable[[float, str], None]
 
 PICTURES = 0.1
 """Share of the time that the pictures take where there is a page too."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sim_core.settings import setting
@@ -24,15 +23,6 @@ class FitSettings:
         3, "1", "Times that mistaken readings are looked for and the fit repeated without them.", "cost"
     )
     search_evaluations: int = setting(30, "1", "Evaluations after which one search ends, converged or not.", "cost")
-    typical_evaluations: int = setting(
-        10, "1", "Evaluations that a search usually takes; the progress bar is scaled with it.", "judgement"
-    )
-    search_time_shares: Mapping[str, float] = setting(
-        {"quadratic": 0.95, "checked": 0.8, "profiled": 0.5},
-        "1",
-        "Share of the time of a fit, about, that its search takes, by what is done about intervals afterwards.",
-        "judgement",
-    )
 
     # starts
     most_restarts: int = setting(4, "1", "Searches that a whole fit starts near the best so far.", "cost")

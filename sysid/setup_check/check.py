@@ -11,6 +11,8 @@ from sim_core.errors import RecordingError
 from sim_core.rigs import Rig
 from sysid.observations.checks.finding import Finding
 from sysid.observations.observations import Run
+from sysid.progress.rollout_costs import RolloutCosts
+from sysid.progress.work import Work
 from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.compare import Comparison, Tried, compare
 
@@ -26,10 +28,10 @@ class SetupCheck:
     tried: str
 
 
-def check_setup(rig: Rig, run: Run) -> SetupCheck:
+def check_setup(rig: Rig, run: Run, costs: RolloutCosts | None = None) -> SetupCheck:
     """What speaks for a mistake of set-up in a run: the likeliest mistake, how much it explains, the line that mends
-    the rig, and what explains the run as well."""
-    comparison = compare(rig, run)
+    the rig, and what explains the run as well. ``costs``: is told of each rollout."""
+    comparison = compare(rig, run, costs=costs)
     named = comparison.named
     if named:
         found = _finding(comparison, named)
@@ -71,12 +73,16 @@ def refuse_mistaken_setups(
     runs: Sequence[Run],
     despite: Collection[str] = (),
     on_warning: Callable[[str], None] | None = None,
+    work: Work | None = None,
 ) -> list[str]:
     """Compare recordings with their rig before they are fitted; what was tried, in words. Raises ``RecordingError``
-    where a mistake of set-up is named, unless ``despite`` has ``setup``; notes go to ``on_warning``."""
+    where a mistake of set-up is named, unless ``despite`` has ``setup``; notes go to ``on_warning``, how far it is to
+    ``work``."""
     tried = []
     for run in runs:
-        checked = check_setup(rig, run)
+        if work is not None:
+            work.say(f"{run.name} is compared with the rig")
+        checked = check_setup(rig, run, None if work is None else work.costs)
         for found in checked.findings:
             text = f"{run.name}: {found.channel}: {found.problem}"
             if found.severity == "stops a fit" and SETUP not in despite:

@@ -11,6 +11,7 @@ from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import channel_noise
 from sysid.observations.observations import Run
+from sysid.progress.rollout_costs import RolloutCosts
 from sysid.settings.model import MODEL
 from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.evidence import Evidence, evidence
@@ -56,10 +57,13 @@ class Comparison:
         return [t for t in sure if t.among_mistakes > sure[0].among_mistakes - np.log(SETUP_CHECK.sure_odds) / 2.0]
 
 
-def compare(rig: Rig, run: Run, noise: Mapping[str, ChannelNoise] | None = None) -> Comparison:
-    """Compare one run with its rig. ``noise``: of its channels, estimated if left out."""
+def compare(
+    rig: Rig, run: Run, noise: Mapping[str, ChannelNoise] | None = None, costs: RolloutCosts | None = None
+) -> Comparison:
+    """Compare one run with its rig. ``noise``: of its channels, estimated if left out; ``costs``: is told of each
+    rollout."""
     probe = probe_of(rig, run, noise or channel_noise(rig, [run]))
-    rollouts = Rollouts(rig, probe)
+    rollouts = Rollouts(rig, probe, costs)
     predicted = rollouts.along(probe.run.poses)
     followed = predicted is not None
     flat = {m.channel: np.zeros_like(m.values) for m in probe.run.measured}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from sysid.model.time_span import rollout_times
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.estimate import quantities
 from sysid.observations.observations import Measured, Run
+from sysid.progress.rollout_costs import Kind, OnStep, RolloutCosts
 from sysid.settings.model import MODEL
 from sysid.settings.setup_check import SETUP_CHECK
 from sysid.setup_check.evidence import Quantity
@@ -141,13 +142,15 @@ def _centre(values: np.ndarray, kind: str) -> np.ndarray:
     return np.tile(middle, values.shape[1] // axes)
 
 
-def _within_time(most_s: float) -> Callable[[int, int], None]:
-    """Ends a rollout that takes too long: a hypothesis that the simulator can hardly follow is none."""
+def _within_time(most_s: float, tell: OnStep) -> OnStep:
+    """Ends a rollout that takes too long: a hypothesis that the simulator can hardly follow is none. ``tell``: is
+    called after each step."""
     end = time.process_time() + most_s
 
     def on_step(done: int, total: int) -> None:
         if time.process_time() > end:
             raise ConvergenceError(f"{done} of {total} steps took {most_s:g} s.", "")
+        tell(done, total)
 
     return on_step
 
@@ -155,10 +158,10 @@ def _within_time(most_s: float) -> Callable[[int, int], None]:
 class Rollouts:
     """Predictions of the instants of a probe along other poses; the scene is built once. A rollout that takes far
     longer than the first one, that of the recording as it is, and than its share of what that one may take, is
-    given up: it is far from anything that happened."""
+    given up: it is far from anything that happened. ``costs``: is told of each."""
 
-    def __init__(self, rig: Rig, probe: Probe) -> None:
-        self.probe, self._rig = probe, rig
+    def __init__(self, rig: Rig, probe: Probe, costs: RolloutCosts | None = None) -> None:
+        self.probe, self._rig, self._costs = probe, rig, costs or RolloutCosts()
         self._scene: Scene = build_scene(rig)
         self._most_s, self._first = SETUP_CHECK.first_rollout_s, True
 
@@ -174,7 +177,8 @@ class Rollouts:
             times = rollout_times([rig], run, self.probe.dt)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # strains of a set-up that is only tried
-                trace = simulate(self._scene, run.poses, times, _within_time(self._most_s))
+                with self._costs.rollout(Kind(beginning=True)) as on_step:
+                    trace = simulate(self._scene, run.poses, times, _within_time(self._most_s, on_step))
             if self._first:
                 took = time.process_time() - begun
                 shared = SETUP_CHECK.first_rollout_s / SETUP_CHECK.most_rollouts

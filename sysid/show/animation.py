@@ -9,10 +9,11 @@ import numpy as np
 from PIL import Image
 
 from sim_core.errors import ThinshellError
+from sysid.progress.callback import Progress
 from sysid.show.colouring import Colouring
 from sysid.show.picture import Board
 from sysid.show.style import colour_table
-from sysid.show.subject import Progress, Subject
+from sysid.show.subject import Subject
 
 STATES, PER_S = 48, 8.0
 """States that an animation shows at most, and a second."""

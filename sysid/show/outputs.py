@@ -9,11 +9,12 @@ from PIL import Image
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
+from sysid.progress.callback import Progress
 from sysid.show.animation import animate
 from sysid.show.colouring import check_quantity, chosen, colourings, telling_step
 from sysid.show.page import page
 from sysid.show.picture import draw
-from sysid.show.subject import Progress, Subject, subject_of
+from sysid.show.subject import Subject, subject_of
 
 PICTURE, PAGE, ANIMATION = "picture.png", "view.html", "animation"
 OURS = {PICTURE, PAGE, f"{ANIMATION}.gif", f"{ANIMATION}.mp4"}

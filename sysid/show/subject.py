@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,8 +20,7 @@ from sim_core.scene.scene import Frame
 from sim_core.sensing.observe import Tracked, frame_of, taken
 from sim_core.simulate import Simulation, interpolate, step_times
 from sim_core.state_history import StateHistory, StateRecorder
-
-Progress = Callable[[float, str], None]
+from sysid.progress.callback import Progress
 
 FRAMES = 96
 """States that are shown of a rollout at most, evenly spread."""

@@ -37,8 +37,6 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 from sysid.uncertainty.profile_likelihood import End, Profile, in_words
 
-Progress = Callable[[float, str], None]
-
 Job = TypeVar("Job")
 Found = TypeVar("Found")
 
@@ -58,7 +56,7 @@ class Profiler:
     chi-square by which the fit is known to be worse than another, which is no better fit then."""
 
     def __init__(
-        self, problem: Problem, fitted: Fitted, on_progress: Progress | None = None, given_up: float = 0.0
+        self, problem: Problem, fitted: Fitted, say: Callable[[str], None] | None = None, given_up: float = 0.0
     ) -> None:
         self._problem, self._fitted = problem, fitted
         self._parameters = fitted.parameters
@@ -71,7 +69,7 @@ class Profiler:
         misfit = max(1.0, known.reduced_chi2)
         # A fall of chi-square that is neither misfit nor chance, nor what a search leaves that ends at its tolerance.
         self._gain = UNCERTAINTY.deviance_root**2 * max(misfit, by_chance) + given_up
-        self._on_progress = on_progress
+        self._say = say
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._evaluations = 0
@@ -186,10 +184,9 @@ class Profiler:
             found = None
         with self._lock:
             self._evaluations += 1
-            if self._on_progress is not None:
-                share = 1.0 - np.exp(-1.5 * self._evaluations / self._expected)
+            if self._say is not None:
                 expected = max(self._expected, self._evaluations)
-                self._on_progress(share, f"ends of intervals, evaluation {self._evaluations} of about {expected:.0f}")
+                self._say(f"ends of intervals, evaluation {self._evaluations} of about {expected:.0f}")
         return found
 
     def _point(self, fitted: Fitted, k: int | None) -> _Point:

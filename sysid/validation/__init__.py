@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from sim_core.errors import ConfigError, nearest_match
+from sysid.progress.callback import Progress
 from sysid.validation.anticlastic import anticlastic_cases
 from sysid.validation.buckling import buckling_cases
 from sysid.validation.capstan import capstan_cases
@@ -68,7 +69,7 @@ def timed(rows: Iterator[Case | NotCovered]) -> Iterator[Case | NotCovered]:
         before = time.process_time()
 
 
-def run(on_progress: Callable[[float, str], None] | None = None, groups: Sequence[str] = ()) -> list[Case | NotCovered]:
+def run(on_progress: Progress | None = None, groups: Sequence[str] = ()) -> list[Case | NotCovered]:
     """All comparisons, some minutes, or those of some groups. ``on_progress(share, text)`` is called before each group
     and at the end. Raises ``ConfigError`` for a group that there is not."""
     for group in groups:
@@ -89,7 +90,7 @@ def run(on_progress: Callable[[float, str], None] | None = None, groups: Sequenc
 
 def run_validation(
     as_json: bool = False,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
     groups: Sequence[str] = (),
 ) -> tuple[bool, str]:
     """Whether all cases, or those of some groups, are within their tolerance, and the table as text or JSON."""

@@ -11,6 +11,7 @@ from sim_core.rigs.motion import load_experiment
 from sysid.discretisation.error_budget import Convergence, converge, refuse_no_noise
 from sysid.model.load import load_runs
 from sysid.noise.estimate import as_declared, channel_noise, undeclared
+from sysid.progress.callback import Progress
 from sysid.simulate import simulate_to_bag
 
 
@@ -20,7 +21,7 @@ def converge_rig(
     out: Path,
     *,
     most_s: float = 600.0,
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> Convergence:
     """Refine a rig (:func:`sysid.discretisation.error_budget.converge`) along a ``motion``, a recording or an

@@ -8,12 +8,15 @@ from pathlib import Path
 import yaml
 
 from sim_core.rigs import Gel, Rig, rig_to_yaml
-from sysid.diagnosis.diagnose import Progress, diagnose_runs
+from sysid.diagnosis.diagnose import diagnose_runs
 from sysid.diagnosis.next_motion import MOTION_FILE, experiment_to_yaml
 from sysid.diagnosis.result import Diagnosis
 from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
+from sysid.progress.callback import Progress
+from sysid.progress.work import work_of
 from sysid.report import REPORT, write_diagnosis_report
+from sysid.settings.progress import PROGRESS
 from sysid.setup_check.check import refuse_mistaken_setups
 
 
@@ -35,8 +38,9 @@ def diagnose_bags(
     (:mod:`sysid.model.sequence`)."""
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
-        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning)
-        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=on_progress)
+        work = work_of(on_progress, PROGRESS.diagnosis_rollouts, PROGRESS.diagnosis_between_s, len(runs) + len(kept))
+        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning, work)
+        diagnosis, amended = diagnose_runs(rig, runs, kept, on_progress=work)
         diagnosis.setups_tried = tuple(tried)
         write_results(
             folder,
@@ -48,6 +52,7 @@ def diagnose_bags(
                 lambda place: write_diagnosis_report(diagnosis, place / REPORT),
             ],
         )
+    work.done()
     return diagnosis
 
 

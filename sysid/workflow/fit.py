@@ -7,13 +7,16 @@ from pathlib import Path
 
 from sim_core.rigs import Rig, rig_to_yaml
 from sysid.fit.fit import USUAL_OPTIONS, fit_runs
-from sysid.fit.multistart import Progress, Step
+from sysid.fit.multistart import Step
 from sysid.fit.options import FitOptions
 from sysid.fit.result import FitResult
 from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.load import load_runs
 from sysid.model.parameters import bounds_cut
+from sysid.progress.callback import Progress
+from sysid.progress.work import work_of
 from sysid.report import REPORT, write_fit_report
+from sysid.settings.progress import PROGRESS
 from sysid.setup_check.check import refuse_mistaken_setups
 from sysid.solve.interruption import interrupts_ignored
 
@@ -41,8 +44,9 @@ def fit_bags(
             on_warning(text)
     with whole_folder(out) as folder:
         runs, kept = load_runs(rig, bags, held_out, on_warning, despite, fresh_bodies)
-        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning)
-        result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=on_progress, on_step=on_step)
+        work = work_of(on_progress, PROGRESS.fit_rollouts, PROGRESS.fit_between_s, len(runs))
+        tried = refuse_mistaken_setups(rig, [*runs, *kept], despite, on_warning, work)
+        result, fitted = fit_runs(rig, runs, names, options, held_out=kept, on_progress=work, on_step=on_step)
         result.tried = tried
         with interrupts_ignored():
             write_results(
@@ -54,4 +58,5 @@ def fit_bags(
                     lambda place: write_fit_report(result, place / REPORT),
                 ],
             )
+    work.done()
     return result

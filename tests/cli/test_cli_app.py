@@ -16,7 +16,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
@@ -24,7 +23,7 @@ from sim_core.rigs import config_folder
 from sim_core.rigs.load import names_in
 from sysid.cli import app, prove
 from sysid.cli.doctor import _IMPORTS, _child, _ros_traps
-from sysid.cli.progress import Lines, TimeLeft, interrupts_remembered, progress
+from sysid.progress import interrupts_remembered, progress
 
 THINSHELL = [sys.executable, "-m", "sysid"]
 PRESS_POST = config_folder().parent / "bags" / "press_post"
@@ -187,88 +186,6 @@ def test_the_doctor_knows_the_traps_of_the_ros_wheels() -> None:
     assert "LD_LIBRARY_PATH lacks" in next(_ros_traps(guarded)).detail
     other = {"RMW_IMPLEMENTATION": "rmw_nothing_cpp"}
     assert "unset RMW_IMPLEMENTATION" in list(_ros_traps(other))[-1].remedy
-
-
-def test_progress_without_a_terminal_is_a_line_at_once_and_every_tenth(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress("work") as report:
-        for step in range(1, 101):
-            report(step / 100, "first" if step == 1 else "")
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 11
-    assert lines[0].startswith("work: 1 % after") and lines[0].endswith("left unknown: first")
-    assert lines[-1].startswith("work: 100 % after")
-
-
-def said(title: str, reports: list[tuple[float, float]], timed: bool = True) -> Lines:
-    """Lines of work that has done shares at instants [s]."""
-    now = [0.0]
-    lines = Lines(title, timed, lambda: now[0])
-    for at, share in reports:
-        now[0] = at
-        lines.report(share, "on")
-    return lines
-
-
-def test_time_left_is_said_where_work_goes_on_evenly(capsys: pytest.CaptureFixture[str]) -> None:
-    said("work", [(10.0, 0.25), (20.0, 0.5), (40.0, 1.0)])
-    assert capsys.readouterr().err.splitlines() == [
-        "work: 25 % after 10 s, about 30 s left: on",
-        "work: 50 % after 20 s, about 20 s left: on",
-        "work: 100 % after 40 s: on",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("reports", "timed"),
-    [
-        ([(1.0, 0.1), (2.0, 0.2), (20.0, 0.3)], True),  # slower of late
-        ([(18.0, 0.1), (20.0, 0.3)], True),  # a slow begin
-        ([(1.0, 0.5)], True),  # too short to know
-        ([(10.0, 0.25), (20.0, 0.5)], False),  # shares that say nothing of time
-    ],
-)
-def test_time_left_is_unknown_where_shares_do_not_tell(
-    reports: list[tuple[float, float]], timed: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said("work", reports, timed)
-    assert "time left unknown" in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_what_is_said_of_the_time_left_is_right_within_a_factor() -> None:
-    rng = np.random.default_rng(0)
-    near: list[bool] = []
-    for _ in range(200):
-        steps = rng.lognormal(0.0, 0.5, 40)
-        ends = np.cumsum(steps)
-        clock = TimeLeft()
-        for k, end in enumerate(ends[:-1]):
-            clock.update(float(end), (k + 1) / len(ends))
-            left = clock.seconds(float(end))
-            if left is not None and k < 30:
-                near.append(1.0 / 1.5 < left / (ends[-1] - end) < 1.5)
-    assert len(near) > 3000 and np.mean(near) > 0.95
-
-
-def test_progress_without_a_terminal_is_never_silent_for_ten_seconds(capsys: pytest.CaptureFixture[str]) -> None:
-    now = [0.0]
-    lines = Lines("work", clock=lambda: now[0])
-    lines.report(0.04, "on")
-    for second in range(1, 31):
-        now[0] = float(second)
-        if lines.silent_for() <= 0.0:
-            lines.still()
-    spent = [int(line.split(" after ")[1].split(" s")[0]) for line in capsys.readouterr().err.splitlines()]
-    assert spent == [0, 9, 18, 27]
-
-
-def test_a_line_comes_by_itself_while_work_says_nothing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sysid.cli.progress.SILENCE_S", 0.1)
-    with progress("work") as report:
-        report(0.2, "a long step")
-        time.sleep(0.5)
-    assert capsys.readouterr().err.count("a long step") >= 2
 
 
 def test_ctrl_c_that_something_swallows_ends_the_command_before_its_work() -> None:

@@ -18,7 +18,7 @@ import pytest
 from sim_core.rigs import load_rig, with_parameters
 from sim_core.rigs.motion import load_experiment
 from sysid.cli.app import main
-from sysid.cli.progress import interrupts_reported
+from sysid.progress import interrupts_reported
 from sysid.simulate import simulate_to_bag
 
 FIT = ("fit", "strip_coarse", "--params", "strip.E,strip.nu", "--nuisance", "none")

@@ -101,7 +101,7 @@ class Fits:
 
 def run(seen: np.ndarray, true: np.ndarray | None = None) -> tuple[Fits, Any, list[Any]]:
     fits = Fits(seen, seen if true is None else true)
-    fitted, posterior, _ = searched(cast(SetFits, fits), lambda share, text: None)
+    fitted, posterior, _ = searched(cast(SetFits, fits), lambda text: None)
     assert posterior is not None
     return fits, posterior, fitted
 
@@ -165,7 +165,7 @@ def test_mistakes_are_looked_for_again_beside_a_set_that_leaves_less() -> None:
     """A reading far off, which what the baseline misses had hidden: all sets go on without it."""
     fits = Fits(wrong := noise(7) + 4.0 * COURSES["lag"] + 20.0 * (np.arange(N) == 7), wrong)
     fits.mistaken = np.arange(N) == 7
-    fitted, posterior, others = searched(cast(SetFits, fits), lambda share, text: None)
+    fitted, posterior, others = searched(cast(SetFits, fits), lambda text: None)
     assert fits.cleaned[0] == ("lag",) and others == [] and posterior is not None
     assert posterior.models[0].effects == ("lag",)
     assert next(one.misfit for one in fitted if one.names == ("lag",)) < 1.3
@@ -184,7 +184,7 @@ def test_recordings_that_follow_other_time_steps_begin_anew(undecided: bool) -> 
     fits.shorter = cast(Any, ["shorter"])
     if undecided:
         fits.base.undecided = ("run",)
-    fitted, _, others = cast(Any, searched)(fits, lambda share, text: None)
+    fitted, _, others = cast(Any, searched)(fits, lambda text: None)
     assert (others, fits.steps_asked) == ((["shorter"], [("lag",)]) if undecided else ([], []))
     assert fits.asked == [("lag",)] and len(fitted) == 2
 
@@ -194,7 +194,7 @@ def test_recordings_that_nothing_explains_are_asked_for_their_steps_beside_the_b
     fits = Fits(seen := 1.5 * noise(1), seen)
     fits.shorter, fits.base.undecided = cast(Any, ["shorter"]), ("run",)
     fits.fit = lambda *_: None  # type: ignore[method-assign]
-    _, _, others = cast(Any, searched)(fits, lambda share, text: None)
+    _, _, others = cast(Any, searched)(fits, lambda text: None)
     assert (others, fits.steps_asked) == (["shorter"], [()])
 
 
@@ -213,8 +213,7 @@ def test_a_diagnosis_begins_anew_with_other_time_steps(monkeypatch: pytest.Monke
         "searched",
         lambda fits, tell: ([fits], None, ["shorter"]) if fits == 1 else ([fits], "posterior", []),
     )
-    shares: list[float] = []
     search: Any = diagnosing._searched
-    found = search("engine", "rig", ["long"], [], lambda share, text: shares.append(share))
+    work = SimpleNamespace(enter=lambda *words: None, say=lambda text: None)
+    found = search("engine", "rig", ["long"], [], work)
     assert given == [["long"], ["shorter"]] and found == (2, [2], "posterior")
-    assert shares[0] == 0.0 and shares == sorted(shares)

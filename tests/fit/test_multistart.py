@@ -96,7 +96,7 @@ def test_progress_gives_the_misfit_next_to_what_the_noise_alone_makes(small_rig:
         1, True, "",
     )  # fmt: skip
     reported: list[str] = []
-    Evaluations(FitOptions(), lambda share, text: reported.append(text))(fitted)
+    Evaluations(FitOptions(), reported.append)(fitted)
     assert reported == ["evaluation 1, misfit 9 (up to 1: noise and discretisation error)"]
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +34,21 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Diagnoses instead of real ones; the second case fails the first time."""
     made: list[dict[str, Any]] = []
 
-    def diagnose(command: list[str], *, cwd: Path, env: dict[str, str], **_: Any) -> Any:
+    def diagnose(command: list[str], cwd: Path, report: Callable[[float], None]) -> tuple[int, str]:
+        report(0.5)
         seen = sorted(str(p.relative_to(cwd)) for p in cwd.rglob("*"))
-        made.append({"command": command, "cwd": cwd, "seen": seen, "env": env})
+        made.append({"command": command, "cwd": cwd, "seen": seen, "env": running._environment()})
         if len(made) == 2:
-            return subprocess.CompletedProcess(command, 2, "", "It did not converge.")
+            return 2, "It did not converge."
         (cwd / "answer").mkdir()
         fit = {"baseline": {"held_out": 1.0}, "amended": None}
         said = {"verdict": "nothing_missing", "effects": [], "fit": fit, "baseline_parameters": []}
         said["posterior"] = {"effects": {}, "places": {}}
         text = json.dumps({**said, "amended_parameters": []})
         (cwd / "answer" / "diagnosis.json").write_text(text)
-        return subprocess.CompletedProcess(command, 0, "", "")
+        return 0, ""
 
-    monkeypatch.setattr(running.subprocess, "run", diagnose)
+    monkeypatch.setattr(running, "_followed", diagnose)
     return made
 
 
@@ -72,6 +74,27 @@ def test_errors_are_recorded_and_tried_again(folder: Path, calls: list[dict[str,
     assert "2 of 2 cases diagnosed" in run_cases(folder)
     assert len(calls) == 3
     assert (folder / "answers" / "case_01" / "run.json").stat().st_mtime_ns == first
+
+
+def test_shares_are_of_the_cases_that_have_no_answer_yet(folder: Path, calls: list[dict[str, Any]]) -> None:
+    del calls
+    shares: list[float] = []
+    run_cases(folder, on_progress=lambda share, name: shares.append(share))
+    assert shares == [0.0, 0.25, 0.5, 0.75]
+    shares.clear()
+    run_cases(folder, on_progress=lambda share, name: shares.append(share))
+    assert shares == [0.0, 0.5]
+
+
+def test_a_diagnosis_that_runs_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shares: list[float] = []
+    words = "import sys; print('diagnose: 30 % after 9 s, about 21 s left: baseline', file=sys.stderr); print('done')"
+    code, said = running._followed([sys.executable, "-c", words], tmp_path, shares.append)
+    assert (code, shares) == (0, [0.3])
+    assert "baseline" in said and "done" in said
+    monkeypatch.setattr(running, "TIME_LIMIT_S", 0.2)
+    code, said = running._followed([sys.executable, "-c", "import time; time.sleep(60)"], tmp_path, shares.append)
+    assert (code, said) == (-1, "not finished after 0.2 s")
 
 
 def test_a_folder_without_cases_is_refused(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from sim_core.rigs import Rig, rig_to_yaml
 from sim_core.rigs.trajectory import PoseTrajectory
 from sim_core.scene import build_scene
 from sim_core.simulate import simulate, step_times
+from sysid.progress.callback import Progress
 from sysid.proof.generator import bench
 from sysid.proof.generator.concealed import MIN_SIGNAL, Amplitudes, draw_amplitudes
 from sysid.proof.generator.noise import ColouredNoise
@@ -24,8 +25,6 @@ from sysid.proof.generator.signal import Sight
 from sysid.proof.seal import write_seal
 from sysid.proof.truths.make import make_case as make_independent
 from sysid.simulate import write_trace
-
-Progress = Callable[[float, str], None]
 
 REFINE = 2
 """The truth has twice as many cells in each direction ..."""

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from sim_core.errors import ConvergenceError
+from sysid.progress.callback import Progress
 from sysid.proof.truths import gel, paths, strip
 from sysid.proof.truths.ball import BallError
 from sysid.proof.truths.conceal import LIBRARY, Changes, Concealed, changes, draw
@@ -75,7 +76,7 @@ def record_cases(
     effects: Sequence[str] = (),
     fast: bool = False,
     noise: str = "nasty",
-    on_progress: Callable[[float, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> str:
     """Write ``cases`` cases of one stand, unsealed, each with its ``truth.json``; all conceal ``effects``. The returned
     text says what was written."""

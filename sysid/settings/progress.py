@@ -1,0 +1,91 @@
+"""Settings of ``sysid.progress``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sim_core.settings import setting
+
+
+@dataclass(frozen=True)
+class ProgressSettings:
+    """Settings of what is said of the time that is left. They change no result."""
+
+    silence_s: float = setting(9.0, "s", "A line comes after so long without one.", "judgement")
+    least_time_s: float = setting(1.0, "s", "Time after which shares that are done tell the time left.", "judgement")
+    overdue_share: float = setting(
+        0.1,
+        "1",
+        "Share of the time left last told that is left at least, until more is told.",
+        "judgement",
+    )
+    least_pause_s: float = setting(0.5, "s", "Rollouts that run are told of no more often.", "cost")
+    most_share: float = setting(0.99, "1", "Share that is done at most, until all is.", "judgement")
+
+    # costs of rollouts
+    recent_rollouts: int = setting(8, "1", "Rollouts of a kind, the last ones, whose mean cost counts.", "judgement")
+    least_rollout_share: float = setting(
+        0.02, "1", "Share of the steps of a rollout from which its cost is told from them.", "judgement"
+    )
+    finer_cost_ratio: float = setting(
+        4.0, "1", "Cost of a rollout on cells half as large over that on the rig's, before one has run.", "judgement"
+    )
+    shorter_cost_ratio: float = setting(
+        2.0, "1", "Cost of a rollout with shorter steps over that with the rig's, before one has run.", "judgement"
+    )
+    derivatives_cost_ratio: float = setting(
+        1.5, "1", "Cost of a rollout with derivatives over a plain one, before one has run.", "judgement"
+    )
+    responses_cost_ratio: float = setting(
+        6.0, "1", "Cost of a rollout with responses to all effects over a plain one, before one has run.", "judgement"
+    )
+    beginning_cost_ratio: float = setting(
+        0.3, "1", "Cost of a rollout of the beginning of a recording over a whole one, before one has run.", "judgement"
+    )
+    least_left_share: float = setting(
+        0.15, "1", "Share of the rollouts of a stage that is left at least while it goes on.", "judgement"
+    )
+
+    # stages
+    fit_rollouts: Mapping[str, Mapping[str, float]] = setting(
+        {
+            "set-up": {"beginning": 2},
+            "search": {
+                "plain": 2,
+                "shorter": 1,
+                "finer": 1,
+                "derivatives": 14,
+                "shorter derivatives": 1,
+                "finer derivatives": 1,
+            },
+            "intervals": {"derivatives": 4},
+        },
+        "1",
+        "Rollouts of each kind for each recording of a fit, by its stage.",
+        "measured",
+    )
+    fit_between_s: Mapping[str, float] = setting(
+        {"set-up": 0.5, "search": 7.0, "intervals": 4.5}, "s", "Processor time between rollouts of a fit.", "measured"
+    )
+    diagnosis_rollouts: Mapping[str, Mapping[str, float]] = setting(
+        {
+            "set-up": {"beginning": 2},
+            "baseline": {"plain": 3, "shorter": 2, "finer": 2, "derivatives": 12},
+            "effects": {"responses": 1, "plain": 1, "derivatives": 5},
+            "sets of effects": {"plain": 60, "derivatives": 30},
+            "report": {},
+        },
+        "1",
+        "Rollouts of each kind for each recording of a diagnosis, by its stage.",
+        "measured",
+    )
+    diagnosis_between_s: Mapping[str, float] = setting(
+        {"set-up": 0.6, "baseline": 2.5, "effects": 5.5, "sets of effects": 35.0, "report": 7.5},
+        "s",
+        "Processor time between rollouts of a diagnosis.",
+        "measured",
+    )
+
+
+PROGRESS = ProgressSettings()
