@@ -39,16 +39,20 @@ class Jobs:
         """Whether a job runs."""
         return self._process is not None
 
+    def check_free(self) -> None:
+        """Raise ``ConfigError`` where a job is running."""
+        if self.running:
+            raise ConfigError(
+                f"{self.state.job_id} is running.", "Wait for its end, or call ~/cancel first, or cancel its goal."
+            )
+
     def start(self, request: Request, job_id: str) -> None:
         """Start a job.
 
         Raises:
             ConfigError: one is running.
         """
-        if self.running:
-            raise ConfigError(
-                f"{self.state.job_id} is running.", "Wait for its end, or call ~/cancel first, or cancel its goal."
-            )
+        self.check_free()
         most = request.options.max_evaluations or 0 if isinstance(request, FitRequest) else 0
         self.request, self.elapsed_s = request, 0.0
         self.state = JobState(job_id, "running", "starting", most, kind=request.kind)

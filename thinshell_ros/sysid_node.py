@@ -122,6 +122,7 @@ class SysidNode(Node):
         Raises:
             ThinshellError: it cannot be met, or another job is running.
         """
+        self._jobs.check_free()
         if resume and (kind != "optimise" or self._jobs.knows(resume)):
             request, job_id = self._jobs.resumed(resume)
             if request.kind != NAMES[kind]:

@@ -83,9 +83,9 @@ def load_task(name: str, parameters: Mapping[str, float] | None = None, rig: str
     if chosen not in task.variants:
         raise ConfigError(f"The task {task.name!r} has no variant {chosen!r}.", nearest_match(chosen, task.variants))
     variant = task.variants[chosen]
-    rig = _variant_rig(task, chosen, task.rig, parameters or {})
+    made = _variant_rig(task, chosen, task.rig, parameters or {})
     target = _variant_rig(task, chosen, task.target_rig, {}) if task.target_rig else None
-    return MadeTask(task, chosen, variant, rig, _with_cells(rig, task.coarse), dict(variant.settings), target)
+    return MadeTask(task, chosen, variant, made, _with_cells(made, task.coarse), dict(variant.settings), target)
 
 
 def _variant_rig(task: Task, chosen: str, name: str, parameters: Mapping[str, float]) -> Rig:
