@@ -144,7 +144,9 @@ class Robot:
     def __init__(self, namespace: str, simulated: bool) -> None:
         import rclpy
 
-        rclpy.init()
+        self._began = not rclpy.ok()
+        if self._began:
+            rclpy.init()
         self._place, self._simulated = namespace.rstrip("/"), simulated
         self._node = rclpy.create_node("closed_loop", namespace=namespace or "/")
 
@@ -155,7 +157,8 @@ class Robot:
         import rclpy
 
         self._node.destroy_node()
-        rclpy.try_shutdown()
+        if self._began:
+            rclpy.try_shutdown()
 
     def replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
         """Configure, activate, execute, and wait for the end; the bag is finished then."""
