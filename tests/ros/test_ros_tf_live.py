@@ -14,9 +14,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_hands_on_tf_and_the_urdf_make_one_tree(ros: None, tmp_path: Path) -> None:
-    tf2_msgs = pytest.importorskip(
-        "tf2_msgs.msg", reason="tf2_msgs comes with a ROS distribution"
-    )
+    tf2_msgs = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs comes with a ROS distribution")
     from geometry_msgs.msg import PoseStamped
 
     from thinshell_ros.frames import urdf
