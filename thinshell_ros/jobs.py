@@ -42,9 +42,7 @@ class Jobs:
     def check_free(self) -> None:
         """Raise ``ConfigError`` where a job is running."""
         if self.running:
-            raise ConfigError(
-                f"{self.state.job_id} is running.", "Wait for its end, or call ~/cancel first, or cancel its goal."
-            )
+            raise ConfigError(f"{self.state.job_id} is running.", "Wait for its end, or call ~/cancel first.")
 
     def start(self, request: Request, job_id: str) -> None:
         """Start a job.
