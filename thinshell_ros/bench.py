@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from sim_core.errors import ThinshellError, WorkerError
+from thinshell_ros.command import told
 
 RIG = """
 name: bench
@@ -57,6 +59,9 @@ DEPTHS_M = (0.0097, 0.0094)
 COMMAND_S, CHANGE_S, START_S = 0.01, 0.1, 300.0
 SETTLED_S, STILL_M, MOVED_M = 0.5, 5e-6, 1e-4
 """Markers that moved less than STILL_M for SETTLED_S have settled; a change of depth moves them by MOVED_M at least."""
+SAMPLE_S = 5.0
+"""Time [s] between two looks at the memory."""
+
 TAIL_S = 3.0
 """Time [s] at the end over which the age of stamps is taken."""
 
@@ -105,8 +110,7 @@ def main() -> int:
         try:
             _measure(node.pid, given.seconds, given.slow)
         except ThinshellError as error:
-            print(error, file=sys.stderr)
-            return 1
+            return told(error)
         finally:
             node.send_signal(signal.SIGINT)
             node.wait()
@@ -168,6 +172,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     heard.latencies, heard.ages, heard.numbers = [], [], []
     memory = [_rss_mb(pid) + _rss_mb(physics)]
     begin, due, changed, deep, stopped = time.monotonic(), time.monotonic(), 0.0, 1, None
+    sampled = begin
     while (now := time.monotonic()) - begin < seconds or not heard.latencies:
         if now - begin > seconds + START_S:
             raise WorkerError(
@@ -188,6 +193,9 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             command(DEPTHS_M[deep])
         due = max(due + COMMAND_S, now)
         spin(due)
+        if now - sampled > SAMPLE_S:
+            sampled = now
+            memory.append(_rss_mb(pid) + _rss_mb(physics))
     taken = time.monotonic() - begin
     lost = int(np.diff(heard.numbers).sum()) - (len(heard.numbers) - 1)
     tail = [age for at, age in heard.ages if at > time.monotonic() - TAIL_S]
@@ -196,9 +204,21 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
     print(f"markers: {len(heard.numbers)} received in {taken:.1f} s, {lost} lost")
     print(f"age of stamps in the last {TAIL_S:g} s: median {1e3 * np.median(tail):.1f} ms")
-    print(f"memory of node and physics: {memory[0]:.1f} MB at the start, {memory[-1]:.1f} MB at the end")
+    half = np.mean(memory[len(memory) // 2 :])
+    print(
+        f"memory of node and physics: {memory[0]:.1f} MB at the start, {half:.1f} MB in the second half on average, "
+        f"{memory[-1]:.1f} MB at the end"
+    )
+    print(f"machine: {machine()}")
     node.destroy_node()
     rclpy.try_shutdown()
+
+
+def machine() -> str:
+    """The processor, its cores, and how many processes want to run."""
+    names = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    model = names[0].partition(":")[2].strip() if names else platform.machine()
+    return f"{model}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
 
 
 def _physics(pid: int) -> int:

@@ -23,11 +23,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from sim_core.errors import ConfigError, ThinshellError, WorkerError
+from sim_core.errors import ConfigError, WorkerError
 from sim_core.rigs import load_rig, rig_to_yaml
 from sim_core.rigs.load import find_config
 from sim_core.rigs.yamlfile import read_mapping
 from sim_core.tasks import TaskRollouts, load_task
+from thinshell_ros.command import command
 
 SERVICE_S, REPLAY_S = 120.0, 3600.0
 """Longest time for an answer of the replay node, and for a replay, which waits for slow physics [s]."""
@@ -143,7 +144,9 @@ class Robot:
     def __init__(self, namespace: str, simulated: bool) -> None:
         import rclpy
 
-        rclpy.init()
+        self._began = not rclpy.ok()
+        if self._began:
+            rclpy.init()
         self._place, self._simulated = namespace.rstrip("/"), simulated
         self._node = rclpy.create_node("closed_loop", namespace=namespace or "/")
 
@@ -154,7 +157,8 @@ class Robot:
         import rclpy
 
         self._node.destroy_node()
-        rclpy.try_shutdown()
+        if self._began:
+            rclpy.try_shutdown()
 
     def replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
         """Configure, activate, execute, and wait for the end; the bag is finished then."""
@@ -242,7 +246,8 @@ class Robot:
                 raise WorkerError(f"There is no {what} after {most_s:g} s.", "See what the nodes say above.")
 
 
-def main(words: Sequence[str] | None = None) -> int:
+@command
+def main(words: Sequence[str]) -> None:
     """Go round, and print a line for each round."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0] if __doc__ else "")
     parser.add_argument("task", help="task: a name, NAME:VARIANT or a file")
@@ -260,16 +265,11 @@ def main(words: Sequence[str] | None = None) -> int:
         there = "" if done.achieved is None else f", {done.achieved:.4g} on the robot"
         print(f"Round {done.number}: reward {done.reward:.4g}{there}, {done.state}, {done.watch}{found}", flush=True)
 
-    try:
-        if given.out.exists():
-            raise ConfigError(f"{given.out} exists already.", "Choose another folder, or move it away first.")
-        with Robot(given.namespace, bool(given.simulated)) as robot:
-            out, replay = given.out.absolute(), robot.replay
-            close_loop(given.task, out, given.rounds, given.budget, replay, on_round=tell, simulated=given.simulated)
-    except ThinshellError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    if given.out.exists():
+        raise ConfigError(f"{given.out} exists already.", "Choose another folder, or move it away first.")
+    with Robot(given.namespace, bool(given.simulated)) as robot:
+        out, replay = given.out.absolute(), robot.replay
+        close_loop(given.task, out, given.rounds, given.budget, replay, on_round=tell, simulated=given.simulated)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import Rig, resolve_name, with_parameters
@@ -24,6 +24,8 @@ class FitRequest:
     """Arguments of :func:`sysid.workflow.fit_bags`. ``rig``: at the values where the fit starts; ``out``: a folder that
     does not exist."""
 
+    kind: ClassVar = "fit"
+    file: ClassVar = "fit.json"
     rig: Rig
     bags: tuple[Path, ...]
     held_out: tuple[Path, ...]
@@ -36,19 +38,18 @@ class FitRequest:
 class DiagnosisRequest:
     """Arguments of :func:`sysid.workflow.diagnose_bags`. ``out``: a folder that does not exist."""
 
+    kind: ClassVar = "diagnosis"
+    file: ClassVar = "diagnosis.json"
     rig: Rig
     bags: tuple[Path, ...]
     held_out: tuple[Path, ...]
     out: Path
 
 
-Request = FitRequest | DiagnosisRequest
-
-
 def diagnosis_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], job_id: str) -> DiagnosisRequest:
     """The request for a diagnosis; as :func:`fit_request`, of ``bag_uri``, ``held_out_uri`` and ``output_dir``."""
     rig, bags, held_out = _recordings(rig, topics, values)
-    return DiagnosisRequest(rig, bags, held_out, _folder(values["output_dir"]) / job_id)
+    return DiagnosisRequest(rig, bags, held_out, folder_of(values["output_dir"]) / job_id)
 
 
 def _recordings(
@@ -109,7 +110,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
         robust=values["fit.robust"],
         seed=values["fit.seed"],
     )
-    out = _folder(values["output_dir"]) / job_id
+    out = folder_of(values["output_dir"]) / job_id
     return FitRequest(rig, bags, held_out, tuple(names), options, out)
 
 
@@ -185,7 +186,7 @@ def _numbers(value: Any, names: Sequence[str], parameter: str) -> list[float]:
     return numbers
 
 
-def _folder(text: str) -> Path:
+def folder_of(text: str) -> Path:
     """A folder that results can be written into; made if it is not there."""
     if not text:
         raise ConfigError("There is no folder for the results.", "Set the parameter output_dir.")

@@ -19,8 +19,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sim_core.errors import ConfigError, ThinshellError
+from sim_core.errors import ConfigError
 from sim_core.rigs import WORLD, Block, Box, Cylinder, Disc, Gel, MarkerSensor, Pose, Rig, Rigid, Sphere, load_rig
+from thinshell_ros.command import command
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -134,17 +135,12 @@ def _words(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-def main(words: Sequence[str] | None = None) -> int:
+@command
+def main(words: Sequence[str]) -> None:
     """Print the URDF of a rig."""
-    given = sys.argv[1:] if words is None else list(words)
-    try:
-        if len(given) != 1:
-            raise ConfigError("One rig is needed.", "Call it as: python -m thinshell_ros.frames RIG")
-        print(urdf(load_rig(given[0])), end="")
-    except ThinshellError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    if len(words) != 1:
+        raise ConfigError("One rig is needed.", "Call it as: python -m thinshell_ros.frames RIG")
+    print(urdf(load_rig(words[0])), end="")
 
 
 if __name__ == "__main__":

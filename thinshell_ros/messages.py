@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
+from visualization_msgs.msg import Marker
 
 from sim_core.rigs import FisheyeCamera, PinholeCamera
 from thinshell_ros.clouds import Points
@@ -20,6 +21,9 @@ from thinshell_ros.health import Report
 from thinshell_ros.poses import Floats, Pose
 
 _DATATYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32}
+MESH_COLOUR = (0.45, 0.68, 0.75, 1.0)
+"""Of the surfaces of bodies: red, green, blue, alpha, 0 to 1."""
+
 _LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
@@ -46,6 +50,15 @@ def pose(stamp_ns: int, frame_id: str, value: Pose) -> PoseStamped:
     at.x, at.y, at.z = map(float, value.position)
     turn.x, turn.y, turn.z, turn.w = map(float, value.quaternion)
     return message
+
+
+def mesh(stamp_ns: int, frame_id: str, name: str, corners: Floats) -> Marker:
+    """A surface as a marker of triangles, ``corners`` ``(3 m, 3)`` [m] in ``frame_id``, seen from both sides."""
+    marker = Marker(header=header(stamp_ns, frame_id), ns=name, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
+    marker.scale.x = marker.scale.y = marker.scale.z = marker.pose.orientation.w = 1.0
+    marker.color.r, marker.color.g, marker.color.b, marker.color.a = MESH_COLOUR
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z in corners.tolist()]
+    return marker
 
 
 def wrench(stamp_ns: int, frame_id: str, values: Floats) -> WrenchStamped:

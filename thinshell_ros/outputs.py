@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
+from visualization_msgs.msg import Marker
 
 from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
@@ -30,6 +31,7 @@ _TYPES = {
     "contact": WrenchStamped,
     "markers": PointCloud2,
     "tracks": PointCloud2,
+    "mesh": Marker,
 }
 
 SKIP_S = 0.02
@@ -181,6 +183,8 @@ class Outputs:
         frame, name = channel.frame_id, channel.name
         if channel.kind == "pose":
             return messages.pose(stamp, frame, Pose.of(values))
+        if channel.kind == "mesh":
+            return messages.mesh(stamp, frame, name, values[self._ids[name]].reshape(-1, 3))
         if channel.kind == "contact":
             return messages.wrench(stamp, frame, values)
         if channel.kind == "wrench":

@@ -14,7 +14,7 @@ from sim_core.errors import ConvergenceError
 from thinshell_ros.poses import Floats, Pose, moved, separation, towards
 from thinshell_ros.protocol import Command, Settings, Velocity
 from thinshell_ros.sampling import Reading, Sampler
-from thinshell_ros.streams import Channel
+from thinshell_ros.streams import Channel, mesh_topic
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Frame
@@ -56,6 +56,7 @@ class Physics:
 
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         from sim_core.commands import CommandChain
+        from sim_core.postprocess import lay_out, surfaces
         from sim_core.scene.scene import build_scene
         from sim_core.simulate import Simulation
         from sysid.model.sensor_streams import reported, total_delay
@@ -71,11 +72,15 @@ class Physics:
             return np.asarray(reported(rig, channel.name, channel.kind, np.array([stamp]), values[None])[0])
 
         channels = {
-            name: c if c.kind in ("pose", "contact") else replace(c, latency_s=total_delay(rig, name, c.kind))
+            name: c if c.kind in ("pose", "contact", "mesh") else replace(c, latency_s=total_delay(rig, name, c.kind))
             for name, c in settings.channels.items()
         }
         self._sampler = Sampler(channels, settings.seed, amend, self.dt)
         self.ids = dict(self._simulation.observer.ids)
+        meshed = any(c.kind == "mesh" for c in settings.channels.values())
+        skins = surfaces(lay_out(rig)) if meshed else []
+        self._meshes = {mesh_topic(s.body): s.nodes for s in skins if s.nodes is not None}
+        self.ids |= {mesh_topic(s.body): s.triangles for s in skins if s.nodes is not None}
         self._steps = 0
         self._kept: tuple[float, Any, Any, dict[str, Pose]] | None = None
         self.rest = self._begin()
@@ -101,6 +106,7 @@ class Physics:
         readings = {**{n: p.array() for n, p in self._poses.items()}, **self._simulation.read()}
         if any(c.kind == "contact" for c in self._settings.channels.values()):
             readings |= self._simulation.contact_wrenches()
+        readings |= {name: np.asarray(self._simulation.state.x[nodes]) for name, nodes in self._meshes.items()}
         return readings
 
     def aim(self, command: Command) -> None:

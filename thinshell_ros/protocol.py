@@ -95,7 +95,8 @@ Request = Command | Reset | Keep | Restore | Pause | Step | Stop
 
 @dataclass(frozen=True)
 class Ready:
-    """The scene stands. ``ids``: numbers of markers; ``rest``: readings at the start, without noise."""
+    """The scene stands. ``ids``: numbers of markers, and of the corners of the triangles of meshes ``(m, 3)``;
+    ``rest``: readings at the start, without noise."""
 
     ids: dict[str, np.ndarray]
     rest: dict[str, Floats]

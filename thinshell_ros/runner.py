@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
 
@@ -14,6 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
 from sim_core.errors import ThinshellError
+from thinshell_ros.command import told
 
 DRAIN_S = 0.3
 """Time [s] in which a node that has been asked to end takes what has already arrived."""
@@ -33,8 +33,7 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ThinshellError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 2
+        code = told(error)
     except Exception:
         if ok():
             raise
@@ -85,8 +84,7 @@ def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None
     except ExternalShutdownException:
         pass
     except ThinshellError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 2
+        code = told(error)
     finally:
         if node is not None:
             node.destroy_node()

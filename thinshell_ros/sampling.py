@@ -24,7 +24,7 @@ Amend = Callable[[Channel, float, Floats], Floats]
 @dataclass(frozen=True)
 class Reading:
     """One reading of a channel. ``stamp_s``: simulated time of its stamp [s]. ``values``: pose ``(7,)``
-    as x y z [m], x y z w; wrench ``(6,)`` [N, N m]; markers ``(n, 3)`` [m]; tracks ``(n, 2)`` [px].
+    as x y z [m], x y z w; wrench ``(6,)`` [N, N m]; markers and meshes ``(n, 3)`` [m]; tracks ``(n, 2)`` [px].
     ``release_s``: simulated time at which it is to be given out, evenly spaced within a channel [s]."""
 
     channel: str
@@ -73,7 +73,7 @@ class Sampler:
         stamp = max(at + channel.latency_s, 0.0)
         if channel.kind == "pose":
             values[3:] /= np.linalg.norm(values[3:])
-        elif channel.kind != "contact":
+        elif channel.kind not in ("contact", "mesh"):
             if self._amend is not None:
                 values = self._amend(channel, stamp, values)
             if self._rng is not None:

@@ -51,7 +51,7 @@ class SimNode(Node):
         warn_of_unknown(self)
         self._factor, self._gives_clock = given.real_time_factor, given.publish_clock
         self._rig = load_rig(given.rig)
-        channels = channels_of(self._rig, given.pose_rate_hz, given.base_frame, given.contact_forces)
+        channels = self._channels_of(self._rig, given)
         self._channels = channels
         effectors = self._rig.end_effectors
         self._gates = {n: PoseGate(channels[n].frame_id, given.max_jump_m, given.max_jump_rad) for n in effectors}
@@ -87,6 +87,10 @@ class SimNode(Node):
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(PERIOD_S, self._on_poll, clock=wall)
         self.create_timer(1.0, self._on_diagnostics, clock=wall)
+
+    @staticmethod
+    def _channels_of(rig: Rig, given: SimParameters) -> dict[str, Channel]:
+        return channels_of(rig, given.pose_rate_hz, given.base_frame, given.contact_forces, given.mesh_rate_hz)
 
     def _on_target(self, name: str, message: PoseStamped) -> None:
         if not self._physics.ready:
@@ -201,7 +205,7 @@ class SimNode(Node):
         if rig == self._rig:
             return None
         given = self._given
-        channels = channels_of(rig, given.pose_rate_hz, given.base_frame, given.contact_forces)
+        channels = self._channels_of(rig, given)
 
         def seen(of: Rig, by: Mapping[str, Channel]) -> object:
             commanded = {name: effector.topics.target_pose for name, effector in of.end_effectors.items()}

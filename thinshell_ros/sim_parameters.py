@@ -29,6 +29,7 @@ class SimParameters:
     watchdog_s: float
     contact_forces: bool
     pictures: bool
+    mesh_rate_hz: float
 
     @classmethod
     def declare(cls, node: Node) -> SimParameters:
@@ -60,6 +61,7 @@ class SimParameters:
         patience = declare(node, "watchdog_s", 5.0, "silence after which the physics hangs", bounds=(0.5, 600.0))
         forces = declare(node, "contact_forces", False, "publish force and torque of each declared contact")
         pictures = declare(node, "pictures", False, "publish a picture of the markers that each camera sees")
+        mesh = declare(node, "mesh_rate_hz", 0.0, "rate of mesh/BODY, a marker; 0: none", bounds=(0.0, 10.0))
         declare(
             node, "step_duration_s", 0.0, "simulated time of one ~/step; 0: one step", bounds=(0.0, 3600.0), fixed=False
         )
@@ -69,5 +71,20 @@ class SimParameters:
                 "Set publish_clock to true, and use_sim_time to true in the nodes that listen.",
             )
         return cls(
-            rig, base, rate, noise, seed, speed, turn, jump, tilt, clock, factor, timeout, patience, forces, pictures
+            rig,
+            base,
+            rate,
+            noise,
+            seed,
+            speed,
+            turn,
+            jump,
+            tilt,
+            clock,
+            factor,
+            timeout,
+            patience,
+            forces,
+            pictures,
+            mesh,
         )

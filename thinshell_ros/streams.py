@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from sim_core.contact_wrenches import contact_topic
 from sim_core.errors import ConfigError
-from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, WrenchSensor
+from sim_core.rigs import MarkerSensor, OrthographicCamera, Rig, Rigid, WrenchSensor
 
 EVENT_TOPIC = "events"
 """Topic of what happens to the readings of a rig: tares, resets, time that stamps leave out."""
 
-Kind = Literal["pose", "wrench", "contact", "markers", "tracks"]
-"""``contact``: force and torque of a contact, which no sensor reads: without noise and never tared."""
+Kind = Literal["pose", "wrench", "contact", "markers", "tracks", "mesh"]
+"""``contact``: force and torque of a contact, and ``mesh``: where the surface of a body is, which no sensor reads:
+without noise and never tared."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,13 @@ class Channel:
 
 
 def channels_of(
-    rig: Rig, pose_rate_hz: float, base_frame: str = "", contact_forces: bool = False
+    rig: Rig, pose_rate_hz: float, base_frame: str = "", contact_forces: bool = False, mesh_rate_hz: float = 0.0
 ) -> dict[str, Channel]:
-    """The streams of a rig by name: current poses, then sensors, then cameras, then contacts.
+    """The streams of a rig by name: current poses, then sensors, then cameras, then contacts, then meshes.
 
     ``base_frame``: used in place of the rig's, if not empty. ``contact_forces``: whether contacts are streams, too, at
-    the rate of the poses and in their frame.
+    the rate of the poses and in their frame; ``mesh_rate_hz``: of the surfaces of bodies that deform or move freely,
+    in that frame, 0 for none.
     """
     channels: dict[str, Channel] = {}
     for name, effector in rig.end_effectors.items():
@@ -77,11 +79,20 @@ def channels_of(
             camera.latency_s,
             camera.noise.position_px,
         )
+    frame = base_frame or next((e.base_frame for e in rig.end_effectors.values()), "base_link")
     for contact in rig.contacts if contact_forces else ():
         if len(set(contact.between)) == 2:
-            frame = base_frame or next((e.base_frame for e in rig.end_effectors.values()), "base_link")
             channels[contact.name] = Channel(contact.name, "contact", contact_topic(contact.name), frame, pose_rate_hz)
+    for name, body in rig.bodies.items() if mesh_rate_hz else ():
+        if not isinstance(body, Rigid):
+            topic = mesh_topic(name)
+            channels[topic] = Channel(topic, "mesh", topic, frame, mesh_rate_hz)
     return channels
+
+
+def mesh_topic(body: str) -> str:
+    """Topic of the surface of a body."""
+    return f"mesh/{body}"
 
 
 def twist_topic(target_pose: str) -> str:

@@ -237,6 +237,10 @@ def _open(made: MadeTask, settings: Settings, folder: Path) -> Path:
     try:
         if path.exists():
             _same(json.loads(path.read_text(encoding="utf-8")), about, folder)
+            if (folder / "rig.yaml").read_text(encoding="utf-8") != rig_to_yaml(made.rig):
+                raise ConfigError(
+                    f"The folder {folder} has a search on another rig.", "Name a new folder, or ask for the same rig."
+                )
         else:
             if folder.exists() and any(folder.iterdir()):
                 raise ConfigError(f"The folder {folder} has other files in it.", "Name a new folder.")

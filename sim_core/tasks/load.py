@@ -69,20 +69,23 @@ def read_task(name_or_path: str | Path) -> Task:
     return task.model_copy(update={key: str(file) for key, file in local.items() if file.is_file()})
 
 
-def load_task(name: str, parameters: Mapping[str, float] | None = None) -> MadeTask:
+def load_task(name: str, parameters: Mapping[str, float] | None = None, rig: str | Path | None = None) -> MadeTask:
     """The task ``NAME`` or ``NAME:VARIANT`` (default: ``real``, else the first one).
 
-    ``parameters``: of the rig, over those of the variant. Raises ``ConfigError``, which names the key and the remedy.
+    ``parameters``: of the rig, over those of the variant; ``rig``: a name or a file that takes the place of the task's
+    rig, on which the target is still made. Raises ``ConfigError``, which names the key and the remedy.
     """
     stem, _, wanted = str(name).rpartition(":") if ":" in str(name) else (str(name), "", "")
     task = read_task(stem)
+    if rig is not None:
+        task = task.model_copy(update={"rig": str(rig), "target_rig": task.target_rig or task.rig})
     chosen = wanted or (DEFAULT_VARIANT if DEFAULT_VARIANT in task.variants else next(iter(task.variants)))
     if chosen not in task.variants:
         raise ConfigError(f"The task {task.name!r} has no variant {chosen!r}.", nearest_match(chosen, task.variants))
     variant = task.variants[chosen]
-    rig = _variant_rig(task, chosen, task.rig, parameters or {})
+    made = _variant_rig(task, chosen, task.rig, parameters or {})
     target = _variant_rig(task, chosen, task.target_rig, {}) if task.target_rig else None
-    return MadeTask(task, chosen, variant, rig, _with_cells(rig, task.coarse), dict(variant.settings), target)
+    return MadeTask(task, chosen, variant, made, _with_cells(made, task.coarse), dict(variant.settings), target)
 
 
 def _variant_rig(task: Task, chosen: str, name: str, parameters: Mapping[str, float]) -> Rig:

@@ -38,6 +38,7 @@ from sysid.cli import (
     plan,
     presses,
     prove,
+    rerun,
     rigs,
     robust,
     settings,
@@ -84,6 +85,7 @@ def _options(
 
 
 app.command("show")(show.show)
+app.command("rerun")(rerun.rerun)
 app.command("simulate")(simulate.simulate)
 app.command("plan")(plan.plan)
 app.command("fit")(fit.fit)

@@ -20,6 +20,9 @@ def optimise(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder of the run: a new one, or one that goes on.")
     ],
+    rig: Annotated[
+        str | None, typer.Option("--rig", metavar="RIG", help="In place of the task's: a name or a file.")
+    ] = None,
     method: Annotated[
         str, typer.Option("--method", metavar="NAME", help="hybrid, gradient, adam, cma or cem.")
     ] = "hybrid",
@@ -47,12 +50,11 @@ def optimise(
     """
     from sim_core.optimise import Settings
     from sim_core.optimise import method as method_named
-    from sim_core.optimise import optimise as search
     from sim_core.optimise.posterior import posterior_draws
     from sim_core.tasks import load_task
-    from sysid.report.optimisation_curve import draw_curves
+    from sysid.workflow.optimise import optimise_task
 
-    made = load_task(task)
+    made = load_task(task, rig=rig)
     method_named(method)
     chosen = posterior_draws(posterior, made.rig, draws, seed) if posterior is not None else ()
     settings = Settings(
@@ -66,8 +68,7 @@ def optimise(
         stop_at_success=stop_at_success,
     )
     with progress(f"optimise {made.name}") as report:
-        result = search(made, settings, out, report)
-    draw_curves(out / "curve.png", [(method, result.curve)], made)
+        result = optimise_task(made, settings, out, report)
     if as_json:
         print(result.to_json())
         return

@@ -15,7 +15,8 @@ def test_it_measures_latency_losses_and_memory(ros: None) -> None:
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.partition(":")[0] for line in lines] == [
-        "command to markers", "markers", "age of stamps in the last 3 s", "memory of node and physics"
+        "command to markers", "markers", "age of stamps in the last 3 s", "memory of node and physics",
+        "machine",
     ]  # fmt: skip
     changes = int(lines[0].split(" of ")[-1].split()[0])
     assert changes >= 1 and "nan" not in lines[0]

@@ -88,7 +88,7 @@ def test_launch_files_load(path: Path) -> None:
 def test_rviz_shows_topics_that_nodes_publish() -> None:
     shown = yaml.safe_load((ROOT / "config" / "rviz" / "rig.rviz").read_text())["Visualization Manager"]
     topics = {display.get("Topic", {}).get("Value") for display in shown["Displays"]} - {None}
-    rig = {channel.topic for channel in channels_of(load_rig("card_press"), 100.0).values()}
+    rig = {channel.topic for channel in channels_of(load_rig("card_press"), 100.0, mesh_rate_hz=1.0).values()}
     assert topics <= rig | {"target_pose", f"{default_name('replay_node')}/path"}
     assert topics >= {"target_pose"}
     assert all(display["Class"].startswith("rviz_default_plugins/") for display in shown["Displays"])

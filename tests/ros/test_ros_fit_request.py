@@ -11,9 +11,9 @@ pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message package
 from sim_core.errors import ConfigError, ThinshellError
 from sim_core.rigs import Rig, list_parameters, load_rig
 from sysid.fit.multistart import Step
-from thinshell_ros.fit_process import Failed, Share, Succeeded
 from thinshell_ros.fit_request import FitRequest, fit_request, numbers_of, topic_names, with_topics
-from thinshell_ros.fit_state import FitState
+from thinshell_ros.job_process import Failed, Share, Succeeded
+from thinshell_ros.job_state import JobState
 
 NONE: dict[str, Any] = {
     "held_out_uri": "", "fit.initial": None, "fit.lower": None, "fit.upper": None, "fit.max_iterations": 50,
@@ -96,7 +96,7 @@ def test_topics_are_renamed_one_by_one(rig: Rig) -> None:
 
 def test_the_state_follows_the_fit(rig: Rig, tmp_path: Path) -> None:
     asked = request_of(rig, tmp_path)
-    state = FitState("fit_7", "running", "starting", 50)
+    state = JobState("fit_7", "running", "starting", 50)
     report = state.report(1.0)
     assert (report.level, report.message) == ("ok", "running")
     assert report.values["eta_s"] == "nan"
@@ -123,7 +123,7 @@ def test_standard_deviations_are_in_the_units_of_the_parameters(rig: Rig, tmp_pa
         "undetermined": [], "no_success": "",
         "provenance": {"bags": [{"path": "one", "sha256": ["ab"]}], "versions": {"thinshell_ros": "0.1.0"}},
     }  # fmt: skip
-    state = FitState("fit_7", "running")
+    state = JobState("fit_7", "running")
     state.take(Succeeded(fit), request_of(rig, tmp_path))
     assert state.state == "succeeded"
     assert state.estimate() == {"strip.E_pa": 4e9, "strip.nu": 0.3}
@@ -144,7 +144,7 @@ def test_a_fit_that_did_not_converge_is_a_warning(rig: Rig, tmp_path: Path) -> N
         "cautions": [], "unexplained": ["It leaves more than noise."], "undetermined": [], "no_success": "",
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
-    state = FitState("fit_7", "running")
+    state = JobState("fit_7", "running")
     asked = request_of(rig, tmp_path)
     state.take(Succeeded(fit), asked)
     report = state.report(9.0)
@@ -172,7 +172,7 @@ def test_a_fit_that_needs_a_look_is_a_warning(
         "cautions": ["c"], "notes": ["n"], "unexplained": [], "undetermined": [], "no_success": "",
         "provenance": {"bags": [], "versions": {}},
     }  # fmt: skip
-    state = FitState("fit_7", "running")
+    state = JobState("fit_7", "running")
     state.take(Succeeded({**fit, **changed}), request_of(rig, tmp_path))
     report = state.report(9.0)
     assert (report.level, report.message) == ("warn", "succeeded")

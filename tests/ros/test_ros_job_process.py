@@ -15,10 +15,11 @@ from test_ros_fit_request import request_of
 from sim_core.rigs import load_rig
 from sysid.fit.multistart import Step
 from sysid.io.atomic_folder import unfinished, whole_folder
-from thinshell_ros import fit_process
-from thinshell_ros.fit_process import Event, Failed, FitProcess, Succeeded
+from thinshell_ros import job_process
 from thinshell_ros.fit_request import FitRequest
-from thinshell_ros.fit_state import FitState
+from thinshell_ros.job_process import Event, Failed, JobProcess, Succeeded
+from thinshell_ros.job_state import JobState
+from thinshell_ros.jobs import Jobs
 
 RIG = load_rig(Path(__file__).parent / "data" / "pull_coarse.yaml")
 START_S = 120.0
@@ -61,10 +62,10 @@ def cannot_move(link: Connection, request: FitRequest) -> None:
     link.send(Failed("The results are finished but cannot be moved."))
 
 
-def started(monkeypatch: pytest.MonkeyPatch, stand_in: Any, request: FitRequest) -> FitProcess:
+def started(monkeypatch: pytest.MonkeyPatch, stand_in: Any, request: FitRequest) -> JobProcess:
     """A process of the stand-in, which has written something."""
-    monkeypatch.setattr(fit_process, "run", stand_in)
-    process = FitProcess(request)
+    monkeypatch.setattr(job_process, "run", stand_in)
+    process = JobProcess(request)
     until(lambda: request.out.exists() or (unfinished(request.out) / "fit.json").exists())
     return process
 
@@ -122,10 +123,10 @@ def test_what_speaks_against_a_recording_is_reported_before_the_fit_ends(
         _write(asked)
 
     sent: list[Event] = []
-    monkeypatch.setattr(fit_process, "fit_bags", fit)
-    monkeypatch.setattr(fit_process, "_end_with", lambda link, part: None)
+    monkeypatch.setattr(job_process, "fit_bags", fit)
+    monkeypatch.setattr(job_process, "_end_with", lambda link, part: None)
     monkeypatch.setattr(os, "setsid", lambda: None)
-    fit_process.run(SimpleNamespace(send=sent.append), asked)  # type: ignore[arg-type]
+    job_process.run(SimpleNamespace(send=sent.append), asked)  # type: ignore[arg-type]
     statuses, logged = _node(asked, [sent[:2], sent[2:]])
     assert logged[0] == "fit_7: pull: 27 markers, the rig 33."
     assert [(s.message, s.level) for s in statuses] == [("running", b"\x01"), ("succeeded", b"\x00")]
@@ -133,18 +134,27 @@ def test_what_speaks_against_a_recording_is_reported_before_the_fit_ends(
 
 def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[Any], list[str]]:
     """What a node without its middleware publishes as its status, and logs, when it takes the events of a fit."""
+    node, published, logged = node_without_middleware(asked)
+    for events in batches:
+        node._jobs._take(events)
+    return published["_status"], logged
+
+
+def node_without_middleware(asked: FitRequest) -> tuple[Any, dict[str, list[Any]], list[str]]:
+    """A node that has begun a fit; what it publishes, and what it logs."""
     from thinshell_ros.sysid_node import SysidNode
 
-    published: list[Any] = []
+    published: dict[str, list[Any]] = {"_status": [], "_estimate": [], "_result": []}
     logged: list[str] = []
 
-    class Reported(SysidNode):
+    class Bare(SysidNode):
         def __init__(self) -> None:
-            self._rig, self._request, self._state = RIG, asked, FitState("fit_7", "running", "reading", 200)
-            self._process = None
-            self._elapsed_s = self._reported_s = 0.0
-            self._status: Any = SimpleNamespace(publish=published.append)
-            self._estimate = self._result = SimpleNamespace(publish=lambda message: None)  # type: ignore[assignment]
+            self._rig, self._reported_s, self._shown = RIG, 0.0, None
+            self._jobs = Jobs(self._heard)
+            self._jobs.request, self._jobs.state = asked, JobState("fit_7", "running", "reading", 200)
+            self._actions: Any = SimpleNamespace(tell=lambda: None)
+            for topic, messages in published.items():
+                setattr(self, topic, SimpleNamespace(publish=messages.append))
 
         def get_logger(self) -> Any:
             return SimpleNamespace(info=logged.append, warning=logged.append, error=logged.append)
@@ -152,36 +162,15 @@ def _node(asked: FitRequest, batches: Sequence[Sequence[Event]]) -> tuple[list[A
         def get_fully_qualified_name(self) -> str:
             return "/tactile_sysid"
 
-    node = Reported()
-    for events in batches:
-        node._take(events)
-    return published, logged
+    return Bare(), published, logged
 
 
 def test_a_cancel_that_comes_after_all_is_written_publishes_the_result(
     monkeypatch: pytest.MonkeyPatch, asked: FitRequest
 ) -> None:
-    from thinshell_ros.sysid_node import SysidNode
-
-    published: dict[str, list[Any]] = {"_status": [], "_estimate": [], "_result": []}
-
-    class Cancelled(SysidNode):
-        """The node without its middleware."""
-
-        def __init__(self) -> None:
-            self._rig, self._request, self._state = RIG, asked, FitState("fit_7", "running", "writing", 200)
-            self._process = started(monkeypatch, wrote_and_says_nothing, asked)
-            self._elapsed_s = self._reported_s = 0.0
-            for topic, messages in published.items():
-                setattr(self, topic, SimpleNamespace(publish=messages.append))
-
-        def get_logger(self) -> Any:
-            return SimpleNamespace(info=lambda text: None)
-
-        def get_fully_qualified_name(self) -> str:
-            return "/tactile_sysid"
-
-    answer = Cancelled()._on_cancel(SimpleNamespace(), SimpleNamespace())  # type: ignore[arg-type]
+    node, published, _ = node_without_middleware(asked)
+    node._jobs._process = started(monkeypatch, wrote_and_says_nothing, asked)
+    answer = node._on_cancel(SimpleNamespace(), SimpleNamespace())
     assert not answer.success
     assert answer.message == f"fit_7 succeeded before it could be cancelled; results in {asked.out}"
     assert published["_status"][-1].message == "succeeded"

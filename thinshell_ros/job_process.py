@@ -1,4 +1,4 @@
-"""The process that fits or diagnoses, and what it tells. No ROS."""
+"""The process that does a job, and what it tells. No ROS."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from sim_core.errors import ThinshellError
 from sysid.fit.multistart import Step
 from sysid.io.atomic_folder import unfinished
 from sysid.workflow import diagnose_bags, fit_bags
-from thinshell_ros.fit_request import DiagnosisRequest, Request
+from thinshell_ros.fit_request import DiagnosisRequest, FitRequest
+from thinshell_ros.motion_request import OptimiseRequest, PlanRequest
+
+Request = FitRequest | DiagnosisRequest | PlanRequest | OptimiseRequest
 
 TIDIED = "ignore:resource_tracker"
 """What Python says of semaphores of processes that were ended, which it then removes."""
@@ -44,7 +47,7 @@ class Warned:
 
 @dataclass(frozen=True)
 class Succeeded:
-    """``found``: the content of ``fit.json``, or of ``diagnosis.json``."""
+    """``found``: the content of the file with the result (``file`` of the request)."""
 
     found: dict[str, Any]
 
@@ -60,7 +63,7 @@ Event = Share | Step | Warned | Succeeded | Failed
 
 
 def run(link: Connection, request: Request) -> None:
-    """Fit or diagnose, and send events until ``Succeeded`` or ``Failed``.
+    """Do what is asked, and send events until ``Succeeded`` or ``Failed``.
 
     The process and those that it starts are a process group, which ends at once when the other end of the link closes.
     """
@@ -86,6 +89,19 @@ def _work(link: Connection, request: Request) -> None:
         diagnose_bags(
             request.rig, request.bags, held_out=request.held_out, out=request.out, on_progress=tell, on_warning=warn
         )
+    elif isinstance(request, PlanRequest):
+        from sysid.workflow.plan import plan_to_folder
+
+        plan_to_folder(
+            request.rig, request.experiments, request.names,
+            out=request.out, on_progress=tell, nuisance=request.nuisance,
+        )  # fmt: skip
+    elif isinstance(request, OptimiseRequest):
+        from sim_core.tasks import load_task
+        from sysid.workflow.optimise import optimise_task
+
+        tell(0.0, "making the scene")
+        optimise_task(load_task(request.task, rig=request.rig), request.settings, request.out, tell)
     else:
         fit_bags(
             request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
@@ -94,8 +110,7 @@ def _work(link: Connection, request: Request) -> None:
 
 
 def _succeeded(request: Request) -> Succeeded:
-    file = "diagnosis.json" if isinstance(request, DiagnosisRequest) else "fit.json"
-    return Succeeded(json.loads((request.out / file).read_text()))
+    return Succeeded(json.loads((request.out / request.file).read_text()))
 
 
 def _end_with(link: Connection, part: Path) -> None:
@@ -111,8 +126,8 @@ def _end_with(link: Connection, part: Path) -> None:
         os.killpg(0, signal.SIGKILL)
 
 
-class FitProcess:
-    """One fit, or one diagnosis, in a process of its own.
+class JobProcess:
+    """One job in a process of its own.
 
     It is spawned, not forked: threads of the middleware do not survive a fork.
     """
@@ -124,7 +139,7 @@ class FitProcess:
             sys.warnoptions.append(TIDIED)  # handed on to the process that tidies up, as -W
         context = get_context("spawn")
         self._link, far = context.Pipe()
-        self._process = context.Process(target=run, args=(far, request), name="thinshell-fit")
+        self._process = context.Process(target=run, args=(far, request), name="thinshell-job")
         self._started = time.monotonic()
         self._process.start()
         far.close()
@@ -158,14 +173,13 @@ class FitProcess:
         code = self._process.exitcode
         if code is not None and code < 0:
             return (
-                f"The process that fits was ended by {signal.Signals(-code).name}. Usually the machine ran out of "
-                "memory, which its kernel log says: fit fewer recordings at once or use coarser cells. Nothing was "
-                "written; call ~/start to try again."
+                f"The process of the job was ended by {signal.Signals(-code).name}. Usually the machine ran out of "
+                "memory, which its kernel log says: use fewer recordings at once, or coarser cells."
             )
-        return f"The process that fits ended with code {code}. The node's output says more. Call ~/start to try again."
+        return f"The process of the job ended with code {code}. The node's output says more."
 
     def stop(self) -> Succeeded | None:
-        """End the process and all that it started, and remove what is not finished.
+        """End the process and all that it started, and remove what is not finished, but for what a search has tried.
 
         If it had not reported its end: what it would have reported if all was written before it ended.
         """
@@ -182,6 +196,8 @@ class FitProcess:
         was_over, self._over = self._over, True
         if was_over:
             return None  # it has cleared up itself, or said where it left what is finished
+        if isinstance(self._request, OptimiseRequest):
+            return None  # its folder is there from the first rollout on
         if self._request.out.exists():
             return _succeeded(self._request)
         rmtree(unfinished(self._request.out), ignore_errors=True)
