@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.options import RigArgument, parse_settings
-from sysid.cli.progress import progress, warn
+from sysid.progress import progress, warn
 
 
 def rerun(
@@ -37,7 +37,7 @@ def rerun(
 
     check_rrd(out)
     chosen = with_parameters(load_rig(rig), parse_settings(settings or []))
-    with progress("rerun", timed=False) as report:
+    with progress("rerun") as report:
         subject = subject_of(chosen, what, report)
         write_rrd(subject, out)
     for finding in subject.findings:

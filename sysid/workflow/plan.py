@@ -7,9 +7,10 @@ from pathlib import Path
 
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
-from sysid.design.experiment_design import Plan, Progress, plan_experiments
+from sysid.design.experiment_design import Plan, plan_experiments
 from sysid.io.atomic_folder import whole_folder, write_results
 from sysid.model.nuisance_parameters import KINDS
+from sysid.progress import Progress
 
 
 def plan_to_folder(
