@@ -77,10 +77,16 @@ class _ThreadsEvaluator:
 
 
 @contextmanager
-def evaluator(made: MadeTask, workers: int, coarse: bool, size: int) -> Iterator[Evaluator]:
-    """An evaluator with so many threads; with one worker rollouts are made on that of the caller."""
-    if workers <= 1:
+def evaluator(made: MadeTask, workers: int, coarse: bool, size: int, cluster: str = "") -> Iterator[Evaluator]:
+    """An evaluator with so many threads; with one worker rollouts are made on that of the caller. ``cluster``: the
+    address of a scheduler, in place of threads (:mod:`sim_core.optimise.cluster`)."""
+    if cluster:
+        from sim_core.optimise.cluster import cluster_evaluator
+
+        with cluster_evaluator(cluster, made, workers, coarse, size) as found:
+            yield found
+    elif workers <= 1:
         yield LocalEvaluator(TaskRollouts(made, coarse))
-        return
-    with worker_threads(workers) as threads:
-        yield _ThreadsEvaluator(threads, made, workers, coarse, size)
+    else:
+        with worker_threads(workers) as threads:
+            yield _ThreadsEvaluator(threads, made, workers, coarse, size)

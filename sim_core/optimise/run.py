@@ -48,9 +48,10 @@ TRAJECTORY, TRACE = "trajectory.json", "trace.npz"
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one search. ``seed``: of all that is drawn, the action that it begins with included; ``draws``: sets of
-    parameters over which the fitness is meant, and ``quantile`` its least share; ``stop_at_success``: the search ends
-    with the first success that a check confirms."""
+    """Of one search. ``seed``: of all that is drawn, the action that it begins with included; ``workers``: rollouts at
+    once, on threads or on a ``cluster`` (:mod:`sim_core.optimise.cluster`); ``draws``: sets of parameters over which
+    the fitness is meant, and ``quantile`` its least share; ``stop_at_success``: the search ends with the first success
+    that a check confirms."""
 
     method: str = "hybrid"
     rollouts: int = 200
@@ -60,6 +61,7 @@ class Settings:
     draws: tuple[Parameters, ...] = ()
     quantile: float = 0.0
     stop_at_success: bool = False
+    cluster: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def optimise(
     confirm = Confirmations(made, folder)
     rng = np.random.default_rng(settings.seed)
     start = np.clip(SHAKE * rng.standard_normal(space.size), -1.0, 1.0)
-    with evaluator(made, settings.workers, made.has_coarse, space.size) as rollouts:
+    with evaluator(made, settings.workers, made.has_coarse, space.size, settings.cluster) as rollouts:
         problem = Problem(
             rollouts,
             Budget(settings.rollouts, settings.seconds),
