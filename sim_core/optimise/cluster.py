@@ -100,9 +100,15 @@ def cluster_evaluator(
         ) from None
     local = None
     if address == LOCAL:
-        local = distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
-        )
+        try:
+            local = distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
+            )
+        except RuntimeError as error:
+            raise ConfigError(
+                f"Processes for the search could not be started: {error}.",
+                'A script of your own must do its work under if __name__ == "__main__", in a file.',
+            ) from None
     try:
         with distributed.Client(local or address, timeout=WAIT_S, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=WAIT_S)

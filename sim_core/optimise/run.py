@@ -149,8 +149,8 @@ def optimise(
     final = TaskRollouts(made).outcome(best.action) if nominal else best.outcomes[0]
     result = _result(problem, best, final, confirm, interrupted)
     if folder is not None:
-        (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")
         write_motion(made, settings, result, folder)
+        (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")  # last: what has it is whole
     return result
 
 
