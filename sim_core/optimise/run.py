@@ -30,9 +30,10 @@ import yaml
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.optimise.confirm import Confirmations
 from sim_core.optimise.descent import SHAKE
-from sim_core.optimise.evaluators import Parameters, evaluator
+from sim_core.optimise.evaluators import Parameters
 from sim_core.optimise.methods import method
 from sim_core.optimise.problem import Budget, BudgetSpent, Evaluation, OnRollout, Problem
+from sim_core.optimise.workers import evaluator
 from sim_core.rigs import rig_to_yaml
 from sim_core.simulate import Trace
 from sim_core.tasks.actions import ActionSpace
