@@ -68,6 +68,7 @@ def killing(cluster: object) -> Iterator[list[int]]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # ten workers are started anew, one after the other
 def test_a_search_whose_workers_are_killed_finds_to_the_bit_what_it_finds_undisturbed(tmp_path: Path) -> None:
     made = small_task(tmp_path)
     on_threads = found(made, tmp_path / "threads", "")
