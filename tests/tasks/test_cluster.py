@@ -34,9 +34,9 @@ def found(made: MadeTask, folder: Path, cluster: str) -> list[tuple[list[float],
 
 @contextmanager
 def scheduler() -> Iterator[object]:
-    """One with two processes that simulate."""
+    """One with one process that simulates: nobody goes on while it is started anew."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
+        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
     ) as cluster:
         yield cluster
 
