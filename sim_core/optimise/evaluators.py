@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,7 +12,6 @@ import numpy as np
 
 from sim_core.tasks.load import MadeTask
 from sim_core.tasks.rollout import Outcome, TaskRollouts
-from sim_core.threads import worker_threads
 
 Parameters = Mapping[str, float]
 """Values of named parameters of a rig."""
@@ -58,7 +56,7 @@ def answer(rollouts: TaskRollouts, request: Request) -> Outcome:
     return rollouts.gradient(request.action) if request.gradient else rollouts.outcome(request.action)
 
 
-class _ThreadsEvaluator:
+class ThreadsEvaluator:
     """Makes rollouts on threads, each of which has a scene of its own."""
 
     def __init__(self, threads: ThreadPoolExecutor, made: MadeTask, workers: int, coarse: bool, size: int) -> None:
@@ -74,13 +72,3 @@ class _ThreadsEvaluator:
     def outcomes(self, requests: Sequence[Request]) -> list[Outcome]:
         """Of all requests, in their order."""
         return [future.result() for future in [self._threads.submit(self._answer, request) for request in requests]]
-
-
-@contextmanager
-def evaluator(made: MadeTask, workers: int, coarse: bool, size: int) -> Iterator[Evaluator]:
-    """An evaluator with so many threads; with one worker rollouts are made on that of the caller."""
-    if workers <= 1:
-        yield LocalEvaluator(TaskRollouts(made, coarse))
-        return
-    with worker_threads(workers) as threads:
-        yield _ThreadsEvaluator(threads, made, workers, coarse, size)

@@ -5,7 +5,8 @@ ThinShellLab runs CMA-ES over four fifths of the budget and gradient descent ove
 1. a few gradients from the start tell whether the reward can be followed from there. Often it cannot: what sticks, or
    is not touched, has a gradient of its stuck state, which says nothing about where it goes once it slides;
 2. so each straight motion of the hands is tried, at about half of its bounds, and slower where its rollout ends early.
-   The best of them has broken contacts that stick, and L-BFGS-B climbs from there;
+   The best of them is tried at its bounds too, unless it had to be slower: what is to be left behind by its inertia has
+   to be left fast. The better one has broken contacts that stick, and L-BFGS-B climbs from there;
 3. then each motion out and back, which begins and ends where the hands are: it acts by its speed, so it is tried at its
    bounds first. What is thrown, shaken or tapped moves by it where no straight motion of the hands moves it;
 4. then CMA-ES for a few generations from the best so far, wide enough to reach other contacts, and L-BFGS-B from the
@@ -81,7 +82,13 @@ def _tried(problem: Problem, rng: np.random.Generator, kind: str, shares: Sequen
         tried = problem.history[at:]
         left = [k for k, evaluation in zip(left, tried, strict=True) if evaluation.outcomes[0].stopped]
     found = [e for e in problem.history[first:] if not any(o.stopped for o in e.outcomes)]
-    return max(found, key=lambda e: e.fitness, default=None)
+    best = max(found, key=lambda e: e.fitness, default=None)
+    if best is not None and any(best is e for e in problem.history[first : first + len(motions)]):
+        largest = float(np.abs(best.action).max())
+        if 0.0 < largest < 1.0:
+            problem.values([best.action / largest])
+            best = max(best, problem.history[-1], key=lambda e: e.fitness)
+    return best
 
 
 class _Gains:

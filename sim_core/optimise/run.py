@@ -30,9 +30,10 @@ import yaml
 from sim_core.errors import ConfigError, ConvergenceError
 from sim_core.optimise.confirm import Confirmations
 from sim_core.optimise.descent import SHAKE
-from sim_core.optimise.evaluators import Parameters, evaluator
+from sim_core.optimise.evaluators import Parameters
 from sim_core.optimise.methods import method
 from sim_core.optimise.problem import Budget, BudgetSpent, Evaluation, OnRollout, Problem
+from sim_core.optimise.workers import evaluator
 from sim_core.rigs import rig_to_yaml
 from sim_core.simulate import Trace
 from sim_core.tasks.actions import ActionSpace
@@ -48,9 +49,10 @@ TRAJECTORY, TRACE = "trajectory.json", "trace.npz"
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one search. ``seed``: of all that is drawn, the action that it begins with included; ``draws``: sets of
-    parameters over which the fitness is meant, and ``quantile`` its least share; ``stop_at_success``: the search ends
-    with the first success that a check confirms."""
+    """Of one search. ``seed``: of all that is drawn, the action that it begins with included; ``workers``: rollouts at
+    once, on threads or on a ``cluster`` (:mod:`sim_core.optimise.cluster`); ``draws``: sets of parameters over which
+    the fitness is meant, and ``quantile`` its least share; ``stop_at_success``: the search ends with the first success
+    that a check confirms."""
 
     method: str = "hybrid"
     rollouts: int = 200
@@ -60,6 +62,7 @@ class Settings:
     draws: tuple[Parameters, ...] = ()
     quantile: float = 0.0
     stop_at_success: bool = False
+    cluster: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def optimise(
     confirm = Confirmations(made, folder)
     rng = np.random.default_rng(settings.seed)
     start = np.clip(SHAKE * rng.standard_normal(space.size), -1.0, 1.0)
-    with evaluator(made, settings.workers, made.has_coarse, space.size) as rollouts:
+    with evaluator(made, settings.workers, made.has_coarse, space.size, settings.cluster) as rollouts:
         problem = Problem(
             rollouts,
             Budget(settings.rollouts, settings.seconds),
@@ -147,8 +150,8 @@ def optimise(
     final = TaskRollouts(made).outcome(best.action) if nominal else best.outcomes[0]
     result = _result(problem, best, final, confirm, interrupted)
     if folder is not None:
-        (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")
         write_motion(made, settings, result, folder)
+        (folder / RESULT).write_text(result.to_json() + "\n", encoding="utf-8")  # last: what has it is whole
     return result
 
 

@@ -69,23 +69,39 @@ class Checker:
         return Verdict(tuple(failures), reward, finer, time.process_time() - began)
 
 
+class Judge:
+    """Says of the episode that is being made in ``rollouts`` whether its motion is a success: :meth:`look` after each
+    step, :meth:`failures` at the end."""
+
+    def __init__(self, rollouts: TaskRollouts) -> None:
+        self._rollouts, self._skins, self._through = rollouts, _Skins(rollouts.scene), ""
+
+    def begin(self) -> None:
+        """Another episode begins."""
+        self._through = ""
+
+    def look(self, k: int) -> None:
+        """At the surfaces of bodies, at the time number ``k``."""
+        self._through = self._through or self._skins.through(self._rollouts, k)
+
+    def failures(self, stopped: str) -> tuple[list[str], float]:
+        """Why the motion is no success, in words, and its reward. ``stopped``: why the rollout ended early, if so."""
+        failures, made = [self._through] if self._through else [], self._rollouts.made
+        if stopped:
+            return [*failures, f"the rollout ends early: {stopped}"], float("nan")
+        scored = self._rollouts.scored()
+        if not scored.reward >= made.variant.success:
+            failures.append(f"the reward is {scored.reward:.4g} in the end, less than {made.variant.success:g}")
+        elif not scored.holds:
+            failures.append("what the reward asks for besides does not hold in the end")
+        return [*failures, *_unmet(self._rollouts)], scored.reward
+
+
 def judged(rollouts: TaskRollouts, action: np.ndarray) -> tuple[list[str], float]:
     """Why the motion of an action is no success in these rollouts, in words, and its reward."""
-    poses, made = rollouts.poses(action), rollouts.made
-    skins, through = _Skins(rollouts.scene), ""
+    poses, judge = rollouts.poses(action), Judge(rollouts)
     rollouts.begin(poses)
-    for k in range(1, len(rollouts.times)):
-        stopped = rollouts.advance(poses, k)
-        if stopped:
-            return [*([through] if through else []), f"the rollout ends early: {stopped}"], float("nan")
-        through = through or skins.through(rollouts, k)
-    scored = rollouts.scored()
-    failures = [through] if through else []
-    if not scored.reward >= made.variant.success:
-        failures.append(f"the reward is {scored.reward:.4g} in the end, less than {made.variant.success:g}")
-    elif not scored.holds:
-        failures.append("what the reward asks for besides does not hold in the end")
-    return [*failures, *_unmet(rollouts)], scored.reward
+    return judge.failures(rollouts.advance(poses, len(rollouts.times) - 1, judge.look))
 
 
 def _unmet(rollouts: TaskRollouts) -> list[str]:

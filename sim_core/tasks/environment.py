@@ -1,91 +1,107 @@
 """Tasks as Gymnasium environments (Towers et al. 2024), for reinforcement learning with any library that takes those.
 
     import gymnasium
-    env = gymnasium.make("sim_core.tasks.environment:thinshell/folding_l-v0", every=5)
+    env = gymnasium.make("sim_core.tasks.environment:thinshell/folding_l-v0", decisions=6)
     envs = gymnasium.make_vec("sim_core.tasks.environment:thinshell/folding_l-v0", 8)  # on threads, one a core
 
-An episode is a rollout of the task from the end of its approach on. An action in [-1, 1] is a share of the bound of one
-step for each component of each hand; it is held for ``every`` steps. So the actions of an episode, one after the other,
-are an action of the same task with the profile ``constant``.
+An episode is a rollout of the task from the end of its approach on, and what is done in it is an action of the task: a
+decision in [-1, 1] is the velocity at its next knot, as a share of the bound of one step for each component of each
+hand. Until then the velocity changes linearly (``profile: constant``: at once, and is held). A decision after which the
+hands could not come to rest within their limits by the knot after it is scaled down, turns first.
 
-Observations are of order one and clipped to [-10, 10]:
+Observations are clipped to [-10, 10] (:mod:`sim_core.tasks.observation`): the state of the bodies, or what the sensors
+and cameras of the rig read.
 
-* of each sheet 16 nodes far apart, and of each affine body its four control nodes: displacement since the start by the
-  way that the hands can go in a quarter of the episode, velocity by the greatest speed of the hands;
-* of each finger displacement and turn since the start (by the same length, and by the turn that goes with it), force by
-  the force at which the task ends;
-* the share of the time that is over.
-
-The reward of one action is what it adds to the reward R of the task, as if that ended now, by |R_success - R_start|,
+The reward of one decision is what it adds to the reward R of the task, as if that ended now, by |R_success - R_start|,
 so that an episode's return is (R_end - R_start) / |R_success - R_start|, whatever the task. Where a rollout ends early,
 the episode ends with the reward :data:`FAILED`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
-from scipy.spatial.transform import Rotation
 
 from sim_core.errors import ConfigError
-from sim_core.rigs import Affine, Sheet, list_parameters, resolve_name
+from sim_core.rigs import list_parameters, resolve_name
 from sim_core.tasks.load import DEFAULT_VARIANT, MadeTask, load_task, read_task, task_names
-from sim_core.tasks.measure import FORCE
+from sim_core.tasks.observation import Kind, Observer
 from sim_core.tasks.rollout import TaskRollouts
 from sim_core.tasks.schema import Actions
 
 FAILED = -10.0
-"""Reward of an action on which the rollout ends early."""
+"""Reward of a decision on which the rollout ends early."""
 
 MOST = 10.0
 """Bound of observations."""
 
-SEEN_NODES = 16
-"""Nodes of a sheet that are observed."""
+HALVINGS = 12
+"""Of the interval in which the largest share of a decision that is within the limits is sought."""
 
 Range = tuple[float, float]
 
 
 class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """One task. ``task``: as :func:`sim_core.tasks.load_task` takes it; ``every``: steps for which an action is held;
-    ``vary``: intervals of parameters of the rig, from which each episode draws evenly.
+    """One task. ``task``: as :func:`sim_core.tasks.load_task` takes it; ``decisions`` of an episode, by default the
+    knots of the task; ``vary``: intervals of parameters of the rig, from which each episode draws evenly; ``observe``:
+    ``state`` or ``sensors`` (:mod:`sim_core.tasks.observation`).
+
+    ``around``: an action of the task ``(size,)`` with as many knots, about which is decided: a decision d then asks for
+    ``around + reach d``.
 
     ``info`` has ``reward``: R, ``success``, ``stopped``: why the rollout ended early, and the ``parameters`` drawn.
-    ``action_so_far`` is what was done in the episode, as an action of ``rollouts``.
+    ``action_so_far`` is what was done in the episode, as an action of ``rollouts``; ``look`` is called after each step
+    with its number.
     """
 
-    def __init__(self, task: str, every: int = 5, vary: Mapping[str, Range] | None = None) -> None:
+    def __init__(
+        self,
+        task: str,
+        decisions: int | None = None,
+        vary: Mapping[str, Range] | None = None,
+        observe: Kind = "state",
+        around: np.ndarray | None = None,
+        reach: float = 1.0,
+    ) -> None:
         made = load_task(task)
         steps = made.actions.steps
-        if not 1 <= every <= steps:
+        decisions = made.actions.knots if decisions is None else decisions
+        if not 1 <= decisions <= steps:
             raise ConfigError(
-                f"every is {every}, but the hands of {made.name} act in {steps} steps.", f"Choose 1 to {steps}."
+                f"decisions is {decisions}, but the hands of {made.name} act in {steps} steps.", f"Choose 1 to {steps}."
             )
-        self.made = _with_actions(
-            made, made.actions.model_copy(update={"knots": -(-steps // every), "profile": "constant"})
-        )
+        self.made = _with_actions(made, made.actions.model_copy(update={"knots": decisions}))
         self._vary = _intervals(self.made, vary or {})
-        self.rollouts = TaskRollouts(self.made)
+        self.rollouts = TaskRollouts(self.made, sensors=observe == "sensors")
         space = self.rollouts.space
-        self._decisions = self.made.actions.knots
-        self._ends = space.first + np.searchsorted(
-            np.arange(steps) * self._decisions // steps, np.arange(1, self._decisions + 1)
-        )
-        self._ends[-1] = len(space.times) - 1
-        self._each = space.size // self._decisions
+        self._decisions, self._ends = decisions, _ends(self.made, space.first, len(space.times) - 1)
+        self._each = space.size // decisions
+        self._around, self._reach = np.zeros(space.size), reach
+        if around is not None:
+            if np.shape(around) != (space.size,):
+                raise ConfigError(
+                    f"around has the shape {np.shape(around)}, but an action of {self.made.name} with {decisions} "
+                    f"decisions has {space.size} numbers.",
+                    "Give a motion of the same task, and as many decisions as its actions have knots.",
+                )
+            self._around = space.executable(around)
         self.action_so_far = np.zeros(space.size)
-        self._nodes = np.concatenate([_seen_nodes(self.rollouts, name) for name in _seen_bodies(self.made)])
         hands = self.made.actions.hands.values()
         fastest = max(float(hand.bounds()[:3].max()) for hand in hands) or 1e-3
         turning = max(float(hand.bounds()[3:6].max()) for hand in hands) or 1e-2
-        self._length, self._turn = 0.25 * steps * fastest, 0.25 * steps * turning
-        self._speed = fastest / self.made.task.step_s
-        size = 6 * len(self._nodes) + 9 * len(self.rollouts.fingers) + 1
+        length, turn = 0.25 * steps * fastest, 0.25 * steps * turning
+        self._observer = Observer(self.rollouts, observe, length, turn, fastest / self.made.task.step_s)
+        self.look: Callable[[int], None] = lambda k: None
+        self._parameters: dict[str, float] = {}
+        self._begin()
+        self._observer.take_nominal()
+        self._observer.begin()
+        size = len(self._observer.observation(0.0, np.random.default_rng(0)))
         self.action_space = Box(-1.0, 1.0, (self._each,), np.float32)
         self.observation_space = Box(-MOST, MOST, (size,), np.float32)
 
@@ -97,6 +113,14 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         drawn = {name: float(self.np_random.uniform(low, high)) for name, (low, high) in self._vary.items()}
         given = dict((options or {}).get("parameters", {}))
         self._parameters = {**drawn, **{resolve_name(self.made.rig, n): float(v) for n, v in given.items()}}
+        self._begin()
+        self._observer.begin()
+        self._reward = self._first = self.rollouts.scored().reward
+        self._scale = abs(self.made.variant.success - self._first) or 1.0
+        return self._observation(), self._info("")
+
+    def _begin(self) -> None:
+        """Begin a rollout, and make the approach."""
         self.rollouts.use(self._parameters)
         self.action_so_far = np.zeros(self.rollouts.space.size)
         self._decision, poses = 0, self.rollouts.space.poses(self.action_so_far)
@@ -107,21 +131,14 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 f"The approach of {self.made.name} ends early: {stopped}.",
                 f"Choose other parameters than {self._parameters}." if self._parameters else "Mend the task.",
             )
-        state = self.rollouts.episode.simulation.state
-        self._start = state.x[self._nodes].copy()
-        self._begun = self._frames()
-        self._reward = self._first = self.rollouts.scored().reward
-        self._scale = abs(self.made.variant.success - self._first) or 1.0
-        return self._observation(), self._info("")
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Hold an action ``(k,)`` for its steps."""
+        """Carry out a decision ``(k,)``."""
         if self._decision >= self._decisions:
             raise ConfigError("The episode is over.", "Call reset().")
+        self._decide(np.clip(np.asarray(action, dtype=float), -1.0, 1.0))
         space = self.rollouts.space
-        entries = self._entries(self._decision)
-        self.action_so_far[entries] = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
-        stopped = self.rollouts.advance(space.poses(self.action_so_far), int(self._ends[self._decision]))
+        stopped = self.rollouts.advance(space.poses(self.action_so_far), int(self._ends[self._decision]), self.look)
         self._decision += 1
         if stopped:
             self._decision = self._decisions
@@ -129,6 +146,31 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         before, self._reward = self._reward, self.rollouts.scored().reward
         gained = (self._reward - before) / self._scale
         return self._observation(), float(gained), self._decision == self._decisions, False, self._info("")
+
+    def _decide(self, decision: np.ndarray) -> None:
+        """Take the decision into the action so far, or the largest share of it with which the hands can still come to
+        rest within their limits: of its turns, then of its translations."""
+        entries = self._entries(self._decision)
+        asked = np.clip(self._around[entries] + self._reach * decision, -1.0, 1.0)
+        turns = np.isin(self.rollouts.space.components[entries], (3, 4, 5))
+        fits = [self._largest_share(entries[chosen], asked[chosen]) for chosen in (turns, ~turns)]
+        if not all(fits):
+            self.action_so_far[entries] = 0.0
+
+    def _largest_share(self, entries: np.ndarray, asked: np.ndarray) -> bool:
+        """Take the largest share of what is asked that is within the limits of the hands. Gives whether one is."""
+        if self._taken(entries, asked):
+            return True
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._taken(entries, middle * asked) else (low, middle)
+        return self._taken(entries, low * asked)
+
+    def _taken(self, entries: np.ndarray, values: np.ndarray) -> bool:
+        """Take values into the action so far. Gives whether it is within the limits of the hands."""
+        self.action_so_far[entries] = values
+        return bool(np.array_equal(self.rollouts.space.executable(self.action_so_far), self.action_so_far))
 
     def _entries(self, decision: int) -> np.ndarray:
         """Of an action of the whole episode, those of one decision: in each hand, knots come first."""
@@ -139,26 +181,9 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             at += self._decisions * count
         return np.concatenate(found)
 
-    def _frames(self) -> dict[str, tuple[np.ndarray, Rotation]]:
-        frames = self.rollouts.episode.simulation.frames
-        return {finger: frames[finger] for finger in self.rollouts.fingers}
-
     def _observation(self) -> np.ndarray:
-        episode = self.rollouts.episode
-        state, reading = episode.simulation.state, episode.readings[-1]
-        parts = [
-            (state.x[self._nodes] - self._start).ravel() / self._length,
-            state.v[self._nodes].ravel() / self._speed,
-        ]
-        for finger, (position, turn) in self._frames().items():
-            origin, before = self._begun[finger]
-            parts += [
-                (position - origin) / self._length,
-                (turn * before.inv()).as_rotvec() / self._turn,
-                reading[f"{FORCE}{finger}"][:3] / self.made.stop.most_force_n,
-            ]
-        parts.append(np.array([self._decision / self._decisions]))
-        return np.asarray(np.clip(np.concatenate(parts), -MOST, MOST), dtype=np.float32)
+        seen = self._observer.observation(self._decision / self._decisions, self.np_random)
+        return np.asarray(np.clip(seen, -MOST, MOST), dtype=np.float32)
 
     def _info(self, stopped: str) -> dict[str, Any]:
         over = self._decision == self._decisions
@@ -186,22 +211,15 @@ def _intervals(made: MadeTask, vary: Mapping[str, Range]) -> dict[str, Range]:
     return found
 
 
-def _seen_bodies(made: MadeTask) -> list[str]:
-    return [name for name, body in made.rig.bodies.items() if isinstance(body, Sheet | Affine)]
-
-
-def _seen_nodes(rollouts: TaskRollouts, body: str) -> np.ndarray:
-    """Nodes of a body that are observed: the first one, then always the one farthest from those before."""
-    nodes = np.asarray(rollouts.scene.bodies[body].nodes)
-    if len(nodes) <= SEEN_NODES:
-        return nodes
-    x = rollouts.episode.simulation.state.x[nodes]
-    chosen = [0]
-    distance = np.linalg.norm(x - x[0], axis=1)
-    while len(chosen) < SEEN_NODES:
-        chosen.append(int(np.argmax(distance.round(9))))
-        distance = np.minimum(distance, np.linalg.norm(x - x[chosen[-1]], axis=1))
-    return nodes[chosen]
+def _ends(made: MadeTask, first: int, last: int) -> np.ndarray:
+    """Step numbers at which decisions are carried out ``(decisions,)``: the last one with what is done afterwards.
+    ``first``: at which the hands begin to act; ``last`` of the rollout."""
+    actions = made.actions
+    intervals = actions.knots + (actions.profile == "linear")
+    places = np.floor((np.arange(actions.steps) + 0.5) / actions.steps * intervals)
+    ends = first + np.searchsorted(places, np.arange(1, actions.knots + 1))
+    ends[-1] = last
+    return np.asarray(ends)
 
 
 def register() -> None:

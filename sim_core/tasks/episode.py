@@ -89,14 +89,16 @@ class Episode:
         self.simulation.reset(self._commands.begin(frames_at(poses, 0)))
         self.at, self.readings = 0, [self.simulation.read()]
 
-    def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> None:
-        """On to the time number ``to``, along poses at all times. Raises ``ConvergenceError``, :class:`EarlyStop`."""
+    def advance(self, poses: Mapping[str, PoseTrajectory], to: int, look: Callable[[int], None]) -> None:
+        """On to the time number ``to``, along poses at all times, with a ``look`` after each step. Raises
+        ``ConvergenceError``, :class:`EarlyStop`."""
         for k in range(self.at + 1, to + 1):
             dt = float(self._times[k] - self._times[k - 1])
             self.simulation.step(self._commands.advance(frames_at(poses, k), dt), dt)
             self.at = k
             self.readings.append(self.simulation.read())
             self.watch(k, self.readings[-1], self.simulation.halvings)
+            look(k)
 
     def outputs(self, every: int = 1) -> dict[str, np.ndarray]:
         """Readings of all channels so far, at every so manieth time, ``(n, ...)``."""

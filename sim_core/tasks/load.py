@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs import Rig, Sheet, load_rig, with_parameters
+from sim_core.rigs import Rig, Sheet, load_rig, resolve_name, with_parameters
 from sim_core.rigs.load import find_config, names_in
 from sim_core.rigs.yamlfile import read_mapping, validate
 from sim_core.tasks.schema import Actions, Conditions, Stop, Task, Variant, check_names
@@ -94,6 +94,8 @@ def _variant_rig(task: Task, chosen: str, name: str, parameters: Mapping[str, fl
     check_names(task, variant, rig, source)
     try:
         rig = with_parameters(rig, {**variant.parameters, **parameters})
+        for family_name in task.family:
+            resolve_name(rig, family_name)
     except ConfigError as error:
         raise ConfigError(f"{source}, variant {chosen}: {error.problem}", error.remedy) from None
     return _started(rig, variant)

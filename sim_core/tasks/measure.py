@@ -61,8 +61,8 @@ class Scored:
 Reward = Callable[[Seen], Scored]
 
 
-def instrumented(made: MadeTask, rig: Rig) -> Rig:
-    """The rig with the sensors of the task in place of its own."""
+def instrumented(made: MadeTask, rig: Rig, own: bool = False) -> Rig:
+    """The rig with the sensors of the task in place of its ``own``, or besides those and its cameras."""
     sensors: dict[str, Any] = {
         f"{POINTS}{name}": MarkerSensor(
             type="markers", body=seen.body, points=Points(positions_m=local_points(seen, rig)), topic=f"task/{name}"
@@ -72,7 +72,8 @@ def instrumented(made: MadeTask, rig: Rig) -> Rig:
     for hand in made.actions.hands.values():
         for finger in hand.fingers:
             sensors[f"{FORCE}{finger}"] = WrenchSensor(type="wrench", on=finger, topic=f"task/{finger}")
-    return rig.model_copy(update={"sensors": sensors, "cameras": {}})
+    kept = {"sensors": {**rig.sensors, **sensors}} if own else {"sensors": sensors, "cameras": {}}
+    return rig.model_copy(update=kept)
 
 
 def local_points(seen: ObservedPoints, rig: Rig) -> tuple[tuple[float, float, float], ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,9 +71,9 @@ def reward_of(name: str) -> Reward:
 class TaskRollouts:
     """Makes rollouts of one task, one after the other, in one scene. What a rollout gives does not depend on those
     before. ``coarse``: with the cells of searches; ``finer``: number of steps in each of the task, with as many cells
-    in the place of each; ``target``: positions to be reached, by default those that the task draws. ``episode``: the
-    rollout that is being made, or was made last without a gradient; ``times`` [s] of its steps; ``fingers``: end
-    effectors that the hands move."""
+    in the place of each; ``target``: positions to be reached, by default those that the task draws; ``sensors``: with
+    those of the rig and its cameras besides. ``episode``: the rollout that is being made, or was made last without a
+    gradient; ``times`` [s] of its steps; ``fingers``: end effectors that the hands move."""
 
     def __init__(
         self,
@@ -82,11 +82,12 @@ class TaskRollouts:
         *,
         finer: int = 1,
         target: Mapping[str, np.ndarray] | None = None,
+        sensors: bool = False,
     ) -> None:
         self.made, self._finer = made, finer
         self.space = ActionSpace(made)
         self._reward = reward_of(made.task.reward)
-        self.rig: Rig = instrumented(made, made.coarse_rig if coarse else made.rig)
+        self.rig: Rig = instrumented(made, made.coarse_rig if coarse else made.rig, sensors)
         self.scene: Scene = build_scene(self.rig, finer)
         _take_weight(self.scene, made.variant.weightless)
         self.times: np.ndarray = np.linspace(0.0, self.space.times[-1], finer * (len(self.space.times) - 1) + 1)
@@ -155,10 +156,13 @@ class TaskRollouts:
         """Begin an :attr:`episode`, at rest."""
         self.episode.begin(poses, self._watch())
 
-    def advance(self, poses: Mapping[str, PoseTrajectory], to: int) -> str:
-        """Go on with the :attr:`episode` to a step. Gives why it ended early; empty where it did not."""
+    def advance(
+        self, poses: Mapping[str, PoseTrajectory], to: int, look: Callable[[int], None] = lambda k: None
+    ) -> str:
+        """Go on with the :attr:`episode` to a step, and ``look`` after each with its number. Gives why it ended early;
+        empty where it did not."""
         try:
-            self.episode.advance(poses, to)
+            self.episode.advance(poses, to, look)
         except ConvergenceError as error:
             at = self.times[self.episode.at + 1]
             return f"the step at {at:.3f} s did not converge: {error.problem}"

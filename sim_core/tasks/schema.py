@@ -22,6 +22,7 @@ StepLength = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le
 StepTurn = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 StepLengths = Annotated[tuple[StepLength, StepLength, StepLength], of_length(3)]
 StepTurns = Annotated[tuple[StepTurn, StepTurn, StepTurn], of_length(3)]
+Reals = Annotated[tuple[Real, Real], of_length(2)]
 Seconds = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=60.0)]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=1.0)]
 Steps = Annotated[int, Field(strict=True, ge=1, le=5000)]
@@ -186,6 +187,9 @@ class Task(Strict):
     stop: Stop = Stop()
     coarse: dict[Name, tuple[int, ...]] = Field(
         default={}, description="cells of sheets in searches; the best is scored with those of the rig"
+    )
+    family: dict[Text, Reals] = Field(
+        default={}, description="parameters of the rig and their intervals, over which one policy is learnt"
     )
     variants: dict[Name, Variant] = Field(min_length=1, description="numbers by variant: real, paper")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeVar
@@ -13,7 +13,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from sim_core.tasks.environment import Range, TaskEnv
+from sim_core.errors import ConfigError
+from sim_core.tasks.environment import TaskEnv
 
 T = TypeVar("T")
 
@@ -22,8 +23,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
     """``num_envs`` environments of one task, each with its own scene, on ``workers`` threads (default: one a core).
 
     What each does is what a ``TaskEnv`` with its seed does, to the bit, at any number of threads. One whose episode is
-    over begins the next one with the step after that (``AutoresetMode.NEXT_STEP``). ``task``, ``every``, ``vary``: as
-    of :class:`sim_core.tasks.environment.TaskEnv`.
+    over begins the next one with the step after that, or, with ``autoreset_mode`` ``SAME_STEP``, at once: then the
+    ``info`` of that step has the end of the episode as ``final_obs`` and ``final_info``. ``task`` and ``options`` by
+    name: as of :class:`sim_core.tasks.environment.TaskEnv`.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -32,13 +34,17 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self,
         task: str,
         num_envs: int = 1,
-        every: int = 5,
-        vary: Mapping[str, Range] | None = None,
         workers: int | None = None,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        **options: Any,
     ) -> None:
+        if autoreset_mode not in (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP):
+            raise ConfigError(f"autoreset_mode is {autoreset_mode}.", "Choose NEXT_STEP or SAME_STEP.")
+        self.metadata = {"autoreset_mode": autoreset_mode}
+        self._at_once = autoreset_mode == AutoresetMode.SAME_STEP
         self._threads = ThreadPoolExecutor(min(workers or os.cpu_count() or 1, num_envs))
         self.num_envs = num_envs
-        self.envs = self._each([partial(TaskEnv, task, every, vary)] * num_envs)
+        self.envs = self._each([partial(TaskEnv, task, **options)] * num_envs)
         first = self.envs[0]
         self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
         self.action_space = batch_space(first.action_space, num_envs)
@@ -61,14 +67,18 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         """Hold the actions ``(n, k)`` for their steps."""
 
         def one(k: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-            if not self._over[k]:
-                return self.envs[k].step(actions[k])
-            observation, info = self.envs[k].reset()
-            return observation, 0.0, False, False, info
+            if self._over[k]:
+                observation, info = self.envs[k].reset()
+                return observation, 0.0, False, False, info
+            observation, gained, over, cut, info = self.envs[k].step(actions[k])
+            if self._at_once and (over or cut):
+                begun, at_start = self.envs[k].reset()
+                return begun, gained, over, cut, {**at_start, "final_obs": observation, "final_info": info}
+            return observation, gained, over, cut, info
 
         made = self._each([partial(one, k) for k in range(self.num_envs)])
         observations, gained, over, cut, infos = zip(*made, strict=True)
-        self._over = np.array(over) | np.array(cut)
+        self._over = (np.array(over) | np.array(cut)) & (not self._at_once)
         return np.stack(observations), np.array(gained), np.array(over), np.array(cut), self._infos(infos)
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -36,6 +36,7 @@ from sysid.cli import (
     lerobot,
     optimise,
     plan,
+    policy,
     presses,
     prove,
     rerun,
@@ -108,6 +109,7 @@ app.command("tasks")(tasks.tasks)
 app.command("optimise")(optimise.optimise)
 app.command("benchmark")(benchmark.benchmark)
 app.command("robust")(robust.robust)
+app.add_typer(policy.app, name="policy")
 app.command("inverse")(inverse.inverse)
 app.command("check-gradients")(check_gradients.check_gradients)
 app.command("validate")(validate.validate)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.bounds import number, whole_number
+from sysid.cli.options import ClusterOption
 from sysid.progress import progress
 
 
@@ -28,7 +29,8 @@ def benchmark(
     minutes: Annotated[
         float | None, number("--minutes", "Wall time after which no run begins.", 0.0, metavar="MINUTES")
     ] = None,
-    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
+    workers: Annotated[int, whole_number("--workers", "Rollouts at once; 0: one a core.", 0)] = 0,
+    cluster: ClusterOption = "",
     to_the_end: Annotated[
         bool, typer.Option("--to-the-end", help="Spend the whole budget, also after the first success.")
     ] = False,
@@ -51,7 +53,9 @@ def benchmark(
     chosen = [task if ":" in task or variant == "real" else f"{task}:{variant}" for task in tasks or task_names()]
     for task in chosen:
         load_task(task)
-    settings = Settings(rollouts=budget, workers=workers or os.cpu_count() or 1, stop_at_success=not to_the_end)
+    settings = Settings(
+        rollouts=budget, workers=workers or os.cpu_count() or 1, stop_at_success=not to_the_end, cluster=cluster
+    )
     with progress("benchmark") as report:
         seconds = float("inf") if minutes is None else 60.0 * minutes
         rows = make(chosen, names, range(seeds), settings, out, report, seconds)

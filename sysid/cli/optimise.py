@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.bounds import number, whole_number
-from sysid.cli.options import SeedOption
+from sysid.cli.options import ClusterOption, SeedOption
 from sysid.progress import progress
 
 
@@ -31,7 +31,8 @@ def optimise(
         float | None, number("--minutes", "Wall time after which no rollout begins.", 0.0, metavar="MINUTES")
     ] = None,
     seed: SeedOption = 0,
-    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
+    workers: Annotated[int, whole_number("--workers", "Rollouts at once; 0: one a core.", 0)] = 0,
+    cluster: ClusterOption = "",
     stop_at_success: Annotated[bool, typer.Option("--stop-at-success", help="End with the first success.")] = False,
     posterior: Annotated[
         Path | None,
@@ -66,6 +67,7 @@ def optimise(
         draws=tuple(chosen),
         quantile=quantile,
         stop_at_success=stop_at_success,
+        cluster=cluster,
     )
     with progress(f"optimise {made.name}") as report:
         result = optimise_task(made, settings, out, report)

@@ -65,6 +65,15 @@ FreshBodiesOption = Annotated[
         "recordings show the same bodies in the order of their stamps.",
     ),
 ]
+ClusterOption = Annotated[
+    str,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Make rollouts on the workers of a dask scheduler (tcp://HOST:PORT), or in processes here (local), in "
+        "place of threads.",
+    ),
+]
 SeedOption = Annotated[int, whole_number("--seed", "Seed of everything random.", 0)]
 
 

@@ -111,6 +111,20 @@ def test_a_straight_motion_that_ends_early_is_made_slower() -> None:
         assert tried[kind][1:] == pytest.approx([0.4 * tried[kind][0]])
 
 
+def left_behind(x: np.ndarray) -> tuple[float, np.ndarray]:
+    """What comes along unless it is left fast: only near the bound of the first entry, with a slope away from there."""
+    if x[0] < -0.9:
+        return 0.0, np.array([-0.1, 0.0, 0.0, 0.0])
+    return -1.0 - float((x[0] + 0.4) ** 2), np.array([-2.0 * (x[0] + 0.4), 0.0, 0.0, 0.0])
+
+
+def test_the_best_straight_motion_is_tried_at_its_bounds() -> None:
+    straight = {STRAIGHT: np.array([[1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]])}
+    problem = search("hybrid", Problem(Toy(left_behind), Budget(PROBE + 5), motions=straight))
+    assert problem.best is not None and problem.best.fitness == 0.0 and problem.best.phase == STRAIGHT
+    assert problem.best.action[0] == -1.0
+
+
 def thrown(x: np.ndarray) -> tuple[float, np.ndarray]:
     """What is thrown where the first two entries differ by more than 1.2 and end where they began, as a ball is where
     hands turn about fast enough; near the start a small hill of its own, and a cliff for going away."""

@@ -8,16 +8,18 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from small_task import small_task
+from gymnasium.vector import AutoresetMode
+from small_task import small_task, touch_sensor
 
 from sim_core.errors import ConfigError
 from sim_core.tasks.environment import FAILED, TaskEnv
+from sim_core.tasks.observation import FORCE_N, TORQUE_NM
 from sim_core.tasks.vector_environment import TaskVectorEnv
 
 
 def small_env(folder: Path, **options: object) -> TaskEnv:
     small_task(folder)
-    return TaskEnv(str(folder / "small.yaml"), every=3, **options)  # type: ignore[arg-type]
+    return TaskEnv(str(folder / "small.yaml"), 3, **options)  # type: ignore[arg-type]
 
 
 def episode(env: TaskEnv, seed: int) -> tuple[list[np.ndarray], list[float], dict[str, object]]:
@@ -66,7 +68,7 @@ def test_environments_on_threads_do_what_they_do_alone(tmp_path: Path) -> None:
     vary = {"card.E_pa": (1.5e9, 2.5e9)}
     alone = [small_env(tmp_path, vary=vary) for _ in range(3)]
     each = gymnasium.vector.SyncVectorEnv([lambda env=env: env for env in alone])  # type: ignore[misc]
-    many = TaskVectorEnv(str(tmp_path / "small.yaml"), 3, every=3, vary=vary, workers=2)
+    many = TaskVectorEnv(str(tmp_path / "small.yaml"), 3, decisions=3, vary=vary, workers=2)
     assert many.action_space == each.action_space and many.observation_space == each.observation_space
     rng, found, ends = np.random.default_rng(7), [], 0
     for envs in (many, each):
@@ -83,11 +85,32 @@ def test_environments_on_threads_do_what_they_do_alone(tmp_path: Path) -> None:
     many.close()
 
 
+def test_an_episode_that_is_over_may_give_way_to_the_next_at_once(tmp_path: Path) -> None:
+    """As libraries of reinforcement learning want it: with its end in the info."""
+    small_task(tmp_path)
+    name, rng = str(tmp_path / "small.yaml"), np.random.default_rng(7)
+    many = TaskVectorEnv(name, 2, 1, AutoresetMode.SAME_STEP, decisions=3)
+    late = TaskVectorEnv(name, 2, 1, decisions=3)
+    begun, _ = many.reset(seed=3)
+    late.reset(seed=3)
+    for _ in range(3):
+        actions = rng.uniform(-1.0, 0.2, many.action_space.shape)
+        seen, gained, over, _, info = many.step(actions)
+        last, own, _, _, end = late.step(actions)
+    assert over.all() and np.array_equal(seen, begun) and np.array_equal(gained, own)
+    assert all(np.array_equal(a, b) for a, b in zip(info["final_obs"], last, strict=True))
+    np.testing.assert_array_equal(info["final_info"]["reward"], end["reward"])
+    with pytest.raises(ConfigError, match="NEXT_STEP or SAME_STEP"):
+        TaskVectorEnv(name, 2, 1, AutoresetMode.DISABLED)
+    many.close()
+    late.close()
+
+
 def test_too_much_force_ends_an_episode(tmp_path: Path) -> None:
     made = small_task(tmp_path)
     path = tmp_path / "small.yaml"
     path.write_text(path.read_text() + "stop: {most_force_n: 0.012}\n")
-    env = TaskEnv(str(path), every=4)
+    env = TaskEnv(str(path), 2)
     env.reset(seed=0)
     down = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     _, reward, over, truncated, info = env.step(down)
@@ -100,11 +123,56 @@ def test_too_much_force_ends_an_episode(tmp_path: Path) -> None:
 
 
 def test_mistakes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"every is 9, but the hands of small act in 8 steps.*1 to 8"):
+    with pytest.raises(ConfigError, match=r"decisions is 9, but the hands of small act in 8 steps.*1 to 8"):
         small_task(tmp_path)
-        TaskEnv(str(tmp_path / "small.yaml"), every=9)
+        TaskEnv(str(tmp_path / "small.yaml"), 9)
     with pytest.raises(ConfigError, match=r"card.E_pa is drawn from 2 to 1, but may be"):
         small_env(tmp_path, vary={"card.E_pa": (2.0, 1.0)})
+    with pytest.raises(ConfigError, match=r"around has the shape \(12,\), but .* with 3 decisions has 18 numbers"):
+        small_env(tmp_path, around=np.zeros(12))
+
+
+def test_decisions_are_executed_within_the_limits_of_the_hands(tmp_path: Path) -> None:
+    """Each is taken as a whole where it can be; what asks for too much is scaled down before it is done."""
+    env = small_env(tmp_path)
+    env.reset(seed=0)
+    env.step(np.full(6, 0.01))
+    assert env.action_so_far.reshape(3, 6)[0].tolist() == [0.01] * 6
+    before = env.rollouts.space.poses(env.action_so_far)["finger"].positions[: env.rollouts.episode.at + 1]
+    env.step(np.array([0.0, 0.0, 1.0, 1.0, -1.0, 1.0]))
+    env.step(np.array([0.0, 0.0, -1.0, -1.0, 1.0, -1.0]))
+    done = env.action_so_far.reshape(3, 6)
+    assert 0.0 < done[1, 3] < 1.0 and done[1, 3] == -done[1, 4]
+    np.testing.assert_array_equal(env.rollouts.space.executable(env.action_so_far), env.action_so_far)
+    after = env.rollouts.space.poses(env.action_so_far)["finger"].positions[: len(before)]
+    np.testing.assert_array_equal(after, before)
+
+
+def test_a_motion_about_which_nothing_is_decided_is_that_motion(tmp_path: Path) -> None:
+    motion = 0.003 * np.arange(18.0)
+    env = small_env(tmp_path, around=motion, reach=0.5)
+    env.reset(seed=0)
+    for _ in range(3):
+        _, _, over, _, info = env.step(np.zeros(6))
+    np.testing.assert_allclose(env.action_so_far, env.rollouts.space.executable(motion))
+    assert over and info["reward"] == env.rollouts.outcome(env.action_so_far).reward
+
+
+def test_a_robot_sees_what_its_sensors_read_with_their_noise(tmp_path: Path) -> None:
+    small_task(tmp_path)
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig.read_text() + touch_sensor(0.05, 1e-5))
+    env = TaskEnv(str(tmp_path / "small.yaml"), 3, observe="sensors")
+    first, _ = env.reset(seed=1)
+    again, _ = env.reset(seed=1)
+    other, _ = env.reset(seed=2)
+    assert len(first) == 3 + 3 + 6 + 1 and np.array_equal(first, again)
+    force = env.rollouts.episode.readings[-1]["touch"]
+    noise = np.array([seen[6:9] for seen in (first, other)]) * FORCE_N - force[:3]
+    assert (noise != 0.0).all() and 0.005 < noise.std() < 0.2
+    assert np.abs(first[9:12] * TORQUE_NM - force[3:]).max() < 1e-4
+    env.step(np.array([0.0, 0.0, -0.3, 0.0, 0.0, 0.0]))
+    assert abs(env.rollouts.episode.readings[-1]["touch"][2]) > abs(force[2]), "pressed harder"
 
 
 def test_all_tasks_are_known_to_gymnasium() -> None:

@@ -1,0 +1,1 @@
+"""Policies that are learnt on tasks: one for a family of materials. Needs the extra ``policies``."""

@@ -1,0 +1,300 @@
+"""Learn a policy for one task over a family of materials, in a folder from which the same training goes on.
+
+    policy.json      what is learnt, and how (:class:`Training`)
+    progress.json    the last checkpoint, and what it took up to there
+    checkpoint_N/    model.zip, normalisation.pkl and, for SAC, replay.pkl
+    episodes.jsonl   each episode: its materials, return, reward, whether it was a success, why it ended early
+
+PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3; observations are normalised
+by their running mean and variance. Training is made of rounds, and each round begins with new episodes and with all
+random numbers drawn anew from the seed and its number. So one that goes on from a checkpoint, which is made after each
+round, gives to the bit what it gives without an interruption.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecNormalize
+
+from sim_core.errors import ConfigError, nearest_match
+from sim_core.policies.batch import Batch
+from sim_core.tasks.load import load_task
+from sim_core.tasks.observation import Kind
+
+POLICY, PROGRESS, EPISODES, CHECKPOINT = "policy.json", "progress.json", "episodes.jsonl", "checkpoint_{}"
+
+FORMAT = 1
+
+NETWORK = [64, 64]
+"""Sizes of the hidden layers of all networks."""
+
+ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
+    "ppo": (PPO, {"gae_lambda": 0.95, "n_epochs": 10, "ent_coef": 0.0, "learning_rate": 1e-3}),
+    "sac": (
+        SAC,
+        {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.01", "learning_rate": 1e-3},
+    ),
+}
+"""What is not the library's default. Rollouts cost much more than steps of an optimiser, so that rates are high."""
+
+SPREAD = -1.0
+"""Logarithm of the standard deviation of PPO's first decisions."""
+
+UPDATES = 8
+"""Steps of SAC's optimiser for each decision."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What is learnt. ``vary``: intervals of parameters of the rig by name; ``around``: an action of the task about
+    which is decided, ``reach`` as far (:class:`sim_core.tasks.environment.TaskEnv`); ``envs``: episodes side by side,
+    ``rounds`` of ``episodes`` each, as many for every environment."""
+
+    task: str
+    algorithm: str = "sac"
+    vary: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    observe: Kind = "sensors"
+    around: tuple[float, ...] | None = None
+    reach: float = 1.0
+    seed: int = 0
+    envs: int = 8
+    episodes: int = 3
+
+    def options(self) -> dict[str, Any]:
+        """Of the environments."""
+        around = None if self.around is None else np.array(self.around)
+        return {"vary": dict(self.vary), "observe": self.observe, "around": around, "reach": self.reach}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """``rounds`` that were made, with so many ``decisions`` and ``steps`` of simulation, in ``wall_s`` and ``cpu_s`` of
+    the process [s]; ``lines`` of the log of episodes."""
+
+    rounds: int = 0
+    decisions: int = 0
+    steps: int = 0
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    lines: int = 0
+
+
+OnRound = Callable[[float, str], None]
+
+
+def train(
+    training: Training,
+    rounds: int,
+    folder: Path,
+    workers: int = 1,
+    on_round: OnRound | None = None,
+    seconds: float = float("inf"),
+) -> Progress:
+    """Learn for so many rounds in all, with those that the folder has already. No round begins after ``seconds`` of
+    wall time.
+
+    Raises ``ConfigError`` where the folder has another training, and for an algorithm that there is not.
+    """
+    if training.algorithm not in ALGORITHMS:
+        raise ConfigError(
+            f"There is no algorithm {training.algorithm!r}.", nearest_match(training.algorithm, ALGORITHMS)
+        )
+    progress, began = _opened(training, folder), time.monotonic()
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # sums of other numbers of threads differ in their last digits
+    batch = Batch(training.task, training.envs, workers, **training.options())
+    try:
+        model, normal = _model(training, progress, folder, batch)
+        for number in range(progress.rounds, rounds):
+            if time.monotonic() - began > seconds:
+                break
+            log = _Log(folder / EPISODES)
+            progress = _round(training, model, normal, number, progress, log)
+            _keep(model, normal, folder, progress)
+            if on_round is not None:
+                on_round(
+                    (number + 1) / rounds, f"{log.count} episodes, return {log.mean:.3g}, {log.successes} successes"
+                )
+    finally:
+        batch.close()
+        torch.set_num_threads(threads)
+    return progress
+
+
+def _round(
+    training: Training, model: BaseAlgorithm, normal: VecNormalize, number: int, before: Progress, log: _Log
+) -> Progress:
+    """One round: new episodes, and all that is drawn from the seed and the number of the round."""
+    wall, cpu = time.monotonic(), time.process_time()
+    seed = int(np.random.SeedSequence([training.seed, number]).generate_state(1)[0] >> 1)
+    set_random_seed(seed)
+    model.action_space.seed(seed)
+    normal.seed(seed)
+    model.set_env(normal, force_reset=True)
+    rollouts = [env.rollouts for env in normal.venv.tasks.envs]
+    decisions = rollouts[0].made.actions.knots * training.envs * training.episodes
+    model.learn(decisions, callback=log, reset_num_timesteps=False)
+    per_decision = (len(rollouts[0].times) - 1) / rollouts[0].made.actions.knots
+    return Progress(
+        number + 1,
+        before.decisions + decisions,
+        before.steps + round(decisions * per_decision),
+        before.wall_s + time.monotonic() - wall,
+        before.cpu_s + time.process_time() - cpu,
+        before.lines + log.count,
+    )
+
+
+class _Log(BaseCallback):
+    """Writes down episodes that are over."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path, self.count, self.successes, self._returns = path, 0, 0, 0.0
+        self._sums: np.ndarray | None = None
+
+    @property
+    def mean(self) -> float:
+        """Return of an episode."""
+        return self._returns / max(1, self.count)
+
+    def _on_step(self) -> bool:
+        gained = self.training_env.get_original_reward()
+        self._sums = gained.astype(float) if self._sums is None else self._sums + gained
+        with self._path.open("a", encoding="utf-8") as stored:
+            for k in np.flatnonzero(self.locals["dones"]):
+                info = self.locals["infos"][k]
+                end = {name: info[name] for name in ("reward", "success", "stopped", "parameters")}
+                stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
+                self.count += 1
+                self.successes += info["success"]
+                self._returns += float(self._sums[k])
+                self._sums[k] = 0.0
+        return True
+
+
+def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -> tuple[BaseAlgorithm, VecNormalize]:
+    """The policy and the normalisation of its observations, new or of the last checkpoint."""
+    kind, options = ALGORITHMS[training.algorithm]
+    place = folder / CHECKPOINT.format(progress.rounds)
+    if progress.rounds:
+        normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
+        model = kind.load(place / "model.zip", env=normal, device="cpu")
+        if isinstance(model, SAC):
+            model.load_replay_buffer(place / "replay.pkl")
+        return model, normal
+    normal = VecNormalize(batch, norm_reward=False, gamma=1.0)
+    policy: dict[str, Any] = {"net_arch": NETWORK}
+    knots = batch.tasks.envs[0].made.actions.knots
+    if training.algorithm == "ppo":
+        policy["log_std_init"] = SPREAD
+        options = {**options, "n_steps": knots, "batch_size": knots * training.envs}
+    else:
+        options = {**options, "train_freq": 1, "gradient_steps": UPDATES * training.envs, "buffer_size": 100_000}
+    shared = {"gamma": 1.0, "policy_kwargs": policy, "device": "cpu", "seed": training.seed}
+    return kind("MlpPolicy", normal, **options, **shared), normal
+
+
+def _keep(model: BaseAlgorithm, normal: VecNormalize, folder: Path, progress: Progress) -> None:
+    """Write a checkpoint, and then that it is the last one."""
+    place = folder / CHECKPOINT.format(progress.rounds)
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    model.save(place / "model.zip")
+    normal.save(str(place / "normalisation.pkl"))
+    if isinstance(model, SAC):
+        model.save_replay_buffer(place / "replay.pkl")
+    new = folder / f"{PROGRESS}.new"
+    new.write_text(json.dumps(asdict(progress), indent=1) + "\n", encoding="utf-8")
+    os.replace(new, folder / PROGRESS)
+    for old in folder.glob(CHECKPOINT.format("*")):
+        if old != place:
+            shutil.rmtree(old)
+
+
+def _opened(training: Training, folder: Path) -> Progress:
+    """What the folder has of this training, with the log as long as it was at the checkpoint; a new one is made."""
+    about = json.loads(json.dumps({"format": FORMAT, **asdict(training)}))
+    try:
+        if (folder / POLICY).exists():
+            if json.loads((folder / POLICY).read_text(encoding="utf-8")) != about:
+                raise ConfigError(
+                    f"The folder {folder} has another training.", "Name a new folder, or ask for the same training."
+                )
+        elif folder.exists() and any(folder.iterdir()):
+            raise ConfigError(f"The folder {folder} has other files in it.", "Name a new folder.")
+        else:
+            load_task(training.task)
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / POLICY).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        progress = read_progress(folder)
+        log = folder / EPISODES
+        if log.exists():
+            lines = log.read_text(encoding="utf-8").splitlines(keepends=True)[: progress.lines]
+            log.write_text("".join(lines), encoding="utf-8")
+    except (OSError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"The folder {folder} cannot be used: {error}.", "Name another one.") from None
+    return progress
+
+
+def read_progress(folder: Path) -> Progress:
+    """How far a training is."""
+    path = folder / PROGRESS
+    return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
+
+
+def read_training(folder: Path) -> Training:
+    """What is learnt in a folder. Raises ``ConfigError`` for one that has no training."""
+    try:
+        data = json.loads((folder / POLICY).read_text(encoding="utf-8"))
+        if data.pop("format") != FORMAT:
+            raise ValueError(f"its format is not {FORMAT}")
+        vary = {name: (float(low), float(high)) for name, (low, high) in data.pop("vary").items()}
+        around = data.pop("around")
+        return Training(**data, vary=vary, around=None if around is None else tuple(around))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{folder} has no policy: {error}.", "Name a folder of 'thinshell policy train'.") from None
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy that was learnt. Its pickled files run code when they are read: load only those of whom you trust."""
+
+    training: Training
+    model: BaseAlgorithm
+    normal: VecNormalize
+
+    def decision(self, observation: np.ndarray) -> np.ndarray:
+        """What it decides for an observation ``(m,)``: ``(k,)``, without exploration."""
+        seen = self.normal.normalize_obs(observation[None])
+        decided, _ = self.model.predict(seen, deterministic=True)
+        return np.asarray(decided[0])
+
+
+def load_policy(folder: Path) -> Policy:
+    """The policy of the last checkpoint. Raises ``ConfigError`` where there is none."""
+    training, progress = read_training(folder), read_progress(folder)
+    place = folder / CHECKPOINT.format(progress.rounds)
+    if not progress.rounds or not place.is_dir():
+        raise ConfigError(f"{folder} has no checkpoint yet.", "Let 'thinshell policy train' make a round.")
+    batch = Batch(training.task, 1, 1, **training.options())
+    normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
+    normal.training = False
+    model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", device="cpu")
+    return Policy(training, model, normal)

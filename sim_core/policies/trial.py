@@ -1,0 +1,147 @@
+"""A learnt policy on materials that it has not seen, against the replayed motion and against searching anew.
+
+Each material is written down as it is tried, so that a trial goes on where it was ended. A success is one that
+:class:`sim_core.tasks.check.Judge` has nothing against, with the cells and steps of the rig.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_core.errors import ConfigError
+from sim_core.optimise.evaluators import LocalEvaluator
+from sim_core.optimise.hybrid import hybrid
+from sim_core.optimise.problem import Budget, BudgetSpent, Evaluation, Problem
+from sim_core.policies.train import Policy, Training
+from sim_core.tasks.check import Judge, judged
+from sim_core.tasks.environment import TaskEnv
+from sim_core.tasks.rollout import TaskRollouts
+
+UNSEEN = 7919
+"""Sets materials of trials apart from those of trainings with the same seed."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One material. ``learnt``, ``replayed``: why the motions of the policy and the motion about which it decides are
+    no successes, in words, with their rewards (NaN where a rollout ended early); ``searched``: rollouts to a success of
+    a search from that motion, the budget where it had none, -1 where none was asked for; ``found``: whether it had."""
+
+    parameters: Mapping[str, float]
+    learnt: tuple[str, ...]
+    learnt_reward: float
+    replayed: tuple[str, ...] = ()
+    replayed_reward: float = float("nan")
+    searched: int = -1
+    found: bool = False
+
+
+def materials(training: Training, count: int, seed: int) -> list[dict[str, float]]:
+    """Drawn evenly from the intervals of a training, by another generator than its episodes."""
+    rng = np.random.default_rng([UNSEEN, seed])
+    return [{n: float(rng.uniform(low, high)) for n, (low, high) in training.vary.items()} for _ in range(count)]
+
+
+def trials(
+    policy: Policy,
+    count: int,
+    path: Path,
+    *,
+    seed: int = 1,
+    searches: int = 0,
+    budget: int = 30,
+    on_trial: Callable[[int], None] = lambda _: None,
+) -> list[Trial]:
+    """Try a policy on so many materials, and a search with a ``budget`` of rollouts on the first ``searches`` of them.
+
+    ``path``: where trials are written to, and taken from where they are the same. Raises ``ConfigError`` where it has
+    others.
+    """
+    drawn = materials(policy.training, count, seed)
+    known = read_trials(path)
+    env = TaskEnv(policy.training.task, **policy.training.options())
+    around = None if policy.training.around is None else np.array(policy.training.around)
+    found: list[Trial] = []
+    for number, parameters in enumerate(drawn):
+        search = number < searches
+        if number < len(known):
+            if known[number].parameters != parameters or search != (known[number].searched >= 0):
+                raise ConfigError(f"{path} has trials of other materials.", "Name another file.")
+            found.append(known[number])
+            continue
+        found.append(_tried(policy, env, number, parameters, around, budget if search else 0))
+        with path.open("a", encoding="utf-8") as stored:
+            stored.write(json.dumps(asdict(found[-1])) + "\n")
+        on_trial(number + 1)
+    return found
+
+
+def _tried(
+    policy: Policy,
+    env: TaskEnv,
+    number: int,
+    parameters: Mapping[str, float],
+    around: np.ndarray | None,
+    budget: int,
+) -> Trial:
+    """One material."""
+    judge = Judge(env.rollouts)
+    env.look = judge.look
+    seed = int(np.random.SeedSequence([UNSEEN, number]).generate_state(1)[0])
+    observation, info = env.reset(seed=seed, options={"parameters": parameters})
+    judge.begin()
+    over = False
+    while not over:
+        observation, _, over, _, info = env.step(policy.decision(observation))
+    learnt, learnt_reward = judge.failures(info["stopped"])
+    trial = Trial(dict(parameters), tuple(learnt), learnt_reward)
+    if around is None:
+        start = np.zeros(env.rollouts.space.size)
+    else:
+        start = around
+        replayed, reward = judged(env.rollouts, around)
+        trial = Trial(dict(parameters), tuple(learnt), learnt_reward, tuple(replayed), reward)
+    if not budget:
+        return trial
+    rollouts, success = searched(env.rollouts, start, budget)
+    return Trial(**{**asdict(trial), "searched": rollouts, "found": success})
+
+
+def searched(rollouts: TaskRollouts, start: np.ndarray, budget: int) -> tuple[int, bool]:
+    """Rollouts of a hybrid search from an action, up to its first success or the budget, and whether it had one."""
+
+    def succeeds(evaluation: Evaluation) -> bool:
+        return not judged(rollouts, evaluation.action)[0]
+
+    problem = Problem(
+        LocalEvaluator(rollouts),
+        Budget(budget),
+        stop_at_success=True,
+        confirm=succeeds,
+        motions=rollouts.space.generic(),
+    )
+    try:
+        hybrid(problem, rollouts.space.executable(start), np.random.default_rng(0))
+    except BudgetSpent:
+        pass
+    return problem.rollouts, problem.confirmed is not None
+
+
+def read_trials(path: Path) -> list[Trial]:
+    """Trials that a file has; a last line that was cut off is left out, and cut off the file."""
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]
+    if len(whole) < len(lines):
+        path.write_text("".join(whole), encoding="utf-8")
+    try:
+        rows = [json.loads(line) for line in whole]
+        return [Trial(**{**row, "learnt": tuple(row["learnt"]), "replayed": tuple(row["replayed"])}) for row in rows]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} has no trials of a policy: {error}.", "Name another file.") from None

@@ -1,0 +1,109 @@
+"""Searches on the workers of a dask scheduler: the same to the bit as on threads, also where workers are killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_task import small_task
+
+from sim_core.errors import ConfigError, WorkerError
+from sim_core.optimise import Settings, optimise
+from sim_core.optimise.cluster import ClusterEvaluator, on_worker, versions
+from sim_core.optimise.evaluators import Request
+from sim_core.optimise.problem import read_log
+from sim_core.tasks import MadeTask
+
+distributed = pytest.importorskip("distributed")
+
+KILLED = 10
+
+
+def found(made: MadeTask, folder: Path, cluster: str) -> list[tuple[list[float], float, str]]:
+    """All that a search tried, with what came of it."""
+    optimise(made, Settings(method="cma", rollouts=40, workers=2, cluster=cluster), folder)
+    return [(e.action.tolist(), e.fitness, e.phase) for e in read_log(folder / "evaluations.jsonl")]
+
+
+@contextmanager
+def scheduler() -> Iterator[object]:
+    """One with one process that simulates: nobody goes on while it is started anew."""
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        yield cluster
+
+
+@contextmanager
+def killing(cluster: object) -> Iterator[list[int]]:
+    """Kills a worker as soon as it is at work, again and again. Gives those that were killed."""
+    killed: list[int] = []
+    over = threading.Event()
+
+    def kill() -> None:
+        with distributed.Client(cluster, set_as_default=False) as client:
+            while len(killed) < KILLED and not over.wait(0.05):
+                busy = [name for name, tasks in client.processing().items() if tasks]
+                ids = client.run(os.getpid, workers=busy[:1], on_error="ignore") if busy else {}
+                for pid in ids.values():
+                    if pid not in killed:
+                        os.kill(pid, signal.SIGKILL)
+                        killed.append(pid)
+                        time.sleep(0.5)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        thread.join()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)  # ten workers are started anew, one after the other
+def test_a_search_whose_workers_are_killed_finds_to_the_bit_what_it_finds_undisturbed(tmp_path: Path) -> None:
+    made = small_task(tmp_path)
+    on_threads = found(made, tmp_path / "threads", "")
+    with scheduler() as cluster, killing(cluster) as killed:
+        address: str = cluster.scheduler_address  # type: ignore[attr-defined]
+        disturbed = found(made, tmp_path / "killed", address)
+    assert len(killed) == KILLED
+    assert disturbed == on_threads and len(on_threads) == 40
+
+
+def end(made: MadeTask, coarse: bool, request: Request, expected: dict[str, str]) -> None:
+    """A rollout that takes its worker with it."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_rollout_that_ends_every_worker_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = small_task(tmp_path)
+    monkeypatch.setattr("sim_core.optimise.cluster.on_worker", end)
+    monkeypatch.setattr("sim_core.optimise.cluster.AGAIN", 1)
+    with scheduler() as cluster, distributed.Client(cluster, set_as_default=False) as client:
+        evaluator = ClusterEvaluator(client, made, 1, False, 12)
+        with pytest.raises(WorkerError, match=r"A rollout of small ended every worker.*memory"):
+            evaluator.outcomes([Request(np.zeros(12))])
+
+
+def test_a_worker_with_other_versions_is_refused(tmp_path: Path) -> None:
+    made = small_task(tmp_path)
+    with pytest.raises(ConfigError, match=r"A worker has numpy .* in place of 0.1.*same versions"):
+        on_worker(made, False, Request(np.zeros(12)), {**versions(), "numpy": "0.1"})
+
+
+def test_a_scheduler_that_is_not_there_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_core.optimise.cluster.WAIT_S", 0.5)
+    made = small_task(tmp_path)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(ConfigError, match=rf"The scheduler '{address}' cannot be used.*tcp://HOST:PORT"):
+            optimise(made, Settings(rollouts=2, cluster=address))
