@@ -163,6 +163,20 @@ class SetFits:
         start = _Start(kept, centre, parameters, fitted.scaled[mine])
         return self._fitted(start, (), " and ".join(h.effect.name for h in kept))
 
+    def fitted_from(self, one: FittedSet, whole: FittedSet) -> FittedSet:
+        """A set fitted again from where another one stands that has its effects and more, if that leaves less."""
+        there = dict(zip((p.target for p in whole.fitted.parameters), whole.fitted.scaled, strict=True))
+        fitted = one.fitted
+        at = np.array([there[p.target] for p in fitted.parameters])
+        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), at)
+        again = self._fitted(start, (), " and ".join(one.names))
+        if again is None or again.fitted.residual @ again.fitted.residual >= fitted.residual @ fitted.residual:
+            return one
+        if not one.hypotheses:
+            self._base = replace(self._base, fitted=again.fitted, there=again.there)
+            self.baseline = again
+        return again
+
     def _fitted(self, start: _Start, before: tuple[Hypothesis, ...], name: str) -> FittedSet | None:
         """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
         base = self._base

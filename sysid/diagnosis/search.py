@@ -6,7 +6,8 @@ noise alone, single effects are simulated where they would begin as well: far fr
 evidence says little of which is best. Mistakes of trackers and sensors are looked for again beside each set that leaves
 less than all before, and recordings that could not tell which time steps they follow are asked again beside the first
 one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before it is an
-answer.
+answer, and sets that are a part of it and nearly as probable are fitted again from where it stands: searches of models
+with kinks do not end at the same depth, and what has fewer effects must not lose by that.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
     fitted = [fits.baseline]
     tried: set[tuple[str, ...]] = {()}
     simulated, clearest, asked = False, fitted[0].names, not fits.base.undecided
+    compared_from: set[tuple[tuple[str, ...], tuple[str, ...]]] = set()
     while True:
         best = min(fitted, key=lambda one: one.misfit)
         if best.names != clearest:
@@ -51,6 +53,13 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
             with ThreadPoolExecutor(len(parts)) as threads:
                 more = threads.map(lambda part: fits.fit_without(part[1], part[2]), parts)
                 fitted += [one for one in more if one is not None]
+            continue
+        whole, rivals = _rivals(posterior, fitted)
+        rivals = [one for one in rivals if (one.names, whole.names) not in compared_from]
+        if rivals:
+            say("whether fewer effects do as well")
+            compared_from |= {(one.names, whole.names) for one in rivals}
+            fitted = [fits.fitted_from(one, whole) if one in rivals else one for one in fitted]
             continue
         wanted = _wanted(posterior, tried)[: DIAGNOSIS.fitted_together]
         if not simulated and leaves_misfit(ledger_with(fitted)):
@@ -104,6 +113,15 @@ def _parts(
         return []
     parts = [(tuple(n for n in best if n != effect), whole, effect) for effect in best]
     return [part for part in parts if part[0] not in tried]
+
+
+def _rivals(posterior: Posterior, fitted: list[FittedSet]) -> tuple[FittedSet, list[FittedSet]]:
+    """The most probable set of effects that are known, if it is fitted, and those that are a part of it, not far less
+    probable, and fitted too."""
+    known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
+    whole = next((one for one in fitted if one.names == known[0].effects), fitted[0])
+    near = {m.effects for m in known if m.log_bayes_factor > known[0].log_bayes_factor - DIAGNOSIS.rival_nats}
+    return whole, [one for one in fitted if set(one.names) < set(whole.names) and one.names in near]
 
 
 def leaves_misfit(ledger: Ledger) -> bool:

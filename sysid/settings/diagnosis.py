@@ -104,6 +104,12 @@ class DiagnosisSettings:
         12, "1", "Single effects that are simulated where their fits would begin, before the best of them are.", "cost"
     )
     fitted_sets: int = setting(10, "1", "Sets of effects that are fitted at most.", "cost")
+    rival_nats: float = setting(
+        30.0,
+        "nats",
+        "Log odds by which a part of the best set may be less probable to be fitted again from where that stands.",
+        "cost",
+    )
     fitted_together: int = setting(2, "1", "Sets that are fitted side by side.", "cost")
     fitted_share: float = setting(
         0.05, "1", "Share of the probability of all sets of effects from which a set is fitted.", "convention"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ import pytest
 
 from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
 from sysid.diagnosis import diagnose as diagnosing
-from sysid.diagnosis.fitted_sets import SetFits
+from sysid.diagnosis.fitted_sets import FittedSet, SetFits
 from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.settings.diagnosis import DIAGNOSIS
 
@@ -59,13 +60,24 @@ class Fits:
         self.cleaned: list[tuple[str, ...]] = []
         self.steps_asked: list[tuple[str, ...]] = []
         self.shorter: list[Any] = []
+        self.snagged: dict[tuple[str, ...], np.ndarray] = {}
+        self.again: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
         self.simulated = 0
 
     def _fitted(self, names: tuple[str, ...]) -> Any:
         self.asked.append(names)
         table = np.column_stack([COURSES[n] for n in names])
         sizes = np.linalg.lstsq(table, self._true, rcond=None)[0]
-        return fitted_set(self._true, dict(zip(names, sizes, strict=True)))
+        return fitted_set(self._true + self.snagged.get(names, 0.0), dict(zip(names, sizes, strict=True)))
+
+    def fitted_from(self, one: Any, whole: Any) -> Any:
+        self.again.append((one.names, whole.names))
+        if not one.names:
+            return one
+        self.snagged.pop(one.names, None)
+        asked = list(self.asked)
+        found, self.asked = self._fitted(one.names), asked
+        return found
 
     def fit(self, begun: Any, wanted: Any, temper: float) -> Any:
         return self._fitted(tuple(sorted((*begun.names, *(name for name, _ in wanted[0])))))
@@ -170,6 +182,56 @@ def test_mistakes_are_looked_for_again_beside_a_set_that_leaves_less() -> None:
     assert posterior.models[0].effects == ("lag",)
     assert next(one.misfit for one in fitted if one.names == ("lag",)) < 1.3
     assert not leaves_misfit(ledger_with(fitted))
+
+
+def test_what_has_fewer_effects_does_not_lose_by_where_its_search_ended() -> None:
+    """The search of one effect ended at a kink, which a second effect passes for."""
+    fits = Fits(seen := noise(2) + 4.0 * COURSES["lag"], seen)
+    fits.snagged[("lag",)] = 1.1 * COURSES["creep"]
+    fitted, posterior, _ = searched(cast(SetFits, fits), lambda text: None)
+    assert (("lag",), ("creep", "lag")) in fits.again and len(fits.again) == len(set(fits.again))
+    assert posterior is not None and posterior.models[0].effects == ("lag",)
+    assert next(one.misfit for one in fitted if one.names == ("lag",)) < 1.2
+
+
+def test_what_is_far_less_probable_is_not_fitted_again() -> None:
+    fits, posterior, _ = run(noise(2) + 6.0 * COURSES["lag"])
+    assert posterior.models[0].log_bayes_factor > DIAGNOSIS.rival_nats and fits.again == []
+
+
+@pytest.mark.parametrize("better", [True, False])
+@pytest.mark.parametrize("names", [(), ("lag",)])
+def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool, names: tuple[str, ...]) -> None:
+    """It begins where the larger set stands, with its own parameters; the baseline is that of all that follows."""
+    modulus, size, other = (SimpleNamespace(target=t) for t in ("sheet.E", "effects.lag.s", "effects.creep.share"))
+    own = [modulus] if not names else [modulus, size]
+    effect = SimpleNamespace(effect=SimpleNamespace(name="lag"))
+    model = SimpleNamespace(parameters=own, scaled=np.zeros(len(own)), centre="rig", residual=np.ones(3))
+    one = FittedSet((effect,) if names else (), cast(Any, model), None, cast(Any, None))
+    larger = SimpleNamespace(parameters=[size, other, modulus], scaled=np.array([2.0, 3.0, 1.0]))
+    whole = FittedSet((), cast(Any, larger), None, cast(Any, None))
+    found = SimpleNamespace(**{**vars(model), "residual": np.full(3, 0.5 if better else 2.0)})
+    fits = SetFits.__new__(SetFits)
+    fits._base, fits.baseline = cast(Any, Base("before")), one
+    begun: list[np.ndarray] = []
+
+    def fitted(start: Any, before: Any, name: str) -> Any:
+        begun.append(start.scaled)
+        return FittedSet(one.hypotheses, cast(Any, found), None, cast(Any, None))
+
+    fits._fitted = fitted  # type: ignore[method-assign, assignment]
+    again = fits.fitted_from(one, whole)
+    np.testing.assert_array_equal(begun[0], [1.0] if not names else [1.0, 2.0])
+    assert (again.fitted is found) == better
+    assert (fits._base.fitted is found) == (fits.baseline.fitted is found) == (better and not names)
+
+
+@dataclass
+class Base:
+    """What a baseline has that is changed."""
+
+    fitted: Any
+    there: Any = None
 
 
 def test_beside_a_set_that_leaves_no_less_nothing_is_looked_for_again() -> None:

@@ -53,7 +53,7 @@ class Sums:
 
     law: Law
 
-    def __init__(self, *_: Any) -> None:
+    def __init__(self, *_: Any, **__: Any) -> None:
         pass
 
     def __enter__(self) -> Sums:
