@@ -34,7 +34,7 @@ from sim_core.core.library import load
 assert load().functions is not None, load().lack
 """
 
-OF_EXTRAS = ("distributed", "gymnasium", "stable_baselines3", "viser", "pytetwild", "pyvista", "pyarrow")
+OF_EXTRAS = ("distributed", "gymnasium", "stable_baselines3", "torch", "viser", "pytetwild", "pyvista", "pyarrow")
 """Modules that only extras bring."""
 
 _SUPERNODES = """

@@ -29,7 +29,9 @@ from sysid.model.parameters import FitParameter
 from sysid.model.predictor import Prediction, SerialPredictor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
+from sysid.progress.work import Work, work_of
 from sysid.report import write_fit_report
+from sysid.settings.progress import PROGRESS
 from sysid.settings.uncertainty import UNCERTAINTY
 from sysid.simulate import simulate_to_bag
 from sysid.solve.covariance import Finding, overdispersion, uncertainty
@@ -56,6 +58,11 @@ class Curve:
         steps = 1e-5 * np.eye(2)[: len(scaled)]
         slopes = np.stack([(self.model(*(scaled + s)) - self.model(*(scaled - s))) / 2e-5 for s in steps], axis=1)
         return [Prediction({"c": self.model(*scaled)[:, None]}, {"c": slopes[:, None]}, cast(Trace, None))]
+
+
+def work() -> Work:
+    """Of a fit, of which nobody hears."""
+    return work_of(None, PROGRESS.fit_rollouts, PROGRESS.fit_between_s, 1)
 
 
 def parameters(low: float, high: float) -> list[FitParameter]:
@@ -254,7 +261,7 @@ def test_only_what_says_as_much_takes_the_place_of_not_determined(broken_from: f
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0, broken_from=broken_from)
     before = f"The data do not determine {fitted.parameters[0].name}: 1 to 2 fit about as well."
     finding = Finding(before, (fitted.parameters[0].name,))
-    profiles, found, _ = _profiled(problem, fitted, [finding], "profiled", None)
+    profiles, found, _ = _profiled(problem, fitted, [finding], "profiled", work())
     said = [f.sentence for f in found]
     assert profiles[0].ends == ("found", "open" if replaced else "failed")
     assert profiles[0].sentence in said and (before in said) != replaced
@@ -268,7 +275,7 @@ def test_what_was_known_before_does_not_take_the_place_of_not_determined() -> No
     for known_sd, kept in ((None, False), (10.0, True)):
         given = [replace(first, known_sd=known_sd), other]
         fitted = problem.fit(cast(Any, None), given, start=plain.scaled, tolerance=1e-9)
-        profiles, found, _ = _profiled(problem, fitted, [finding], "profiled", None)
+        profiles, found, _ = _profiled(problem, fitted, [finding], "profiled", work())
         assert profiles[0].ends == ("found", "found") and "not a parabola" in profiles[0].sentence
         assert (finding in found) == kept
 
@@ -292,7 +299,7 @@ def test_ctrl_c_on_the_way_to_the_ends_is_reported(intervals: Intervals) -> None
     problem.engine = cast(SerialPredictor, Pressed(linear))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     try:
-        _, found, better = _profiled(problem, fitted, [], intervals, None)
+        _, found, better = _profiled(problem, fitted, [], intervals, work())
     finally:
         signal.signal(signal.SIGINT, before)
     assert better is None
@@ -377,13 +384,13 @@ def test_a_better_fit_at_the_ends_is_no_narrow_interval(intervals: Intervals) ->
     """Where the search stands, the readings hardly change with the first parameter."""
     problem, _ = fitted_to(escaping, (1.0, 0.1))
     there = problem.evaluate(cast(Any, None), parameters(-5.0, 5.0), np.array([0.05, 0.1]))
-    _, (early,), better = _profiled(problem, there, [], intervals, None)
+    _, (early,), better = _profiled(problem, there, [], intervals, work())
     assert early.sentence.startswith("The search had ended too early: chi-square is lower by")
     assert better is not None and problem.evaluate(cast(Any, None), there.parameters, better).chi2 < there.chi2
     gain = there.chi2 - problem.evaluate(cast(Any, None), there.parameters, better).chi2
-    assert _profiled(problem, there, [], intervals, None, gain)[2] is None
+    assert _profiled(problem, there, [], intervals, work(), gain)[2] is None
     there.converged = False
-    _, found, better = _profiled(problem, there, [], intervals, None)
+    _, found, better = _profiled(problem, there, [], intervals, work())
     silent = [f.sentence for f in found]
     assert better is None
     assert not any("too early" in s or "interval of" in s for s in silent)
@@ -407,7 +414,7 @@ def test_a_better_fit_in_sight_of_the_ends_is_gone_to() -> None:
 def test_where_given_values_stay_the_profile_that_holds_them_is_kept(given: float, kept: bool) -> None:
     """Of a friction that never slips, which has a lower limit of 1.2."""
     problem, fitted = fitted_to(sticking, (1.6, 0.5), low=0.0, high=3.0)
-    profiles, _, _ = _profiled(problem, fitted, [], "profiled", None)
+    profiles, _, _ = _profiled(problem, fitted, [], "profiled", work())
     first = np.array([given, fitted.scaled[1]])
     stays = problem.evaluate(cast(Any, None), fitted.parameters, first)
     found = _Found(cast(Any, None), problem, fitted, [], [], [], 1.0, profiles, [])
