@@ -5,10 +5,9 @@ where most of its effects are fitted. The most probable sets that are not fitted
 noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
 evidence says little of which is best. Mistakes of trackers and sensors are looked for again beside each set that leaves
 less than all before, and recordings that could not tell which time steps they follow are asked again beside the first
-one that leaves far more than noise; where these are others, all begins anew. Of the best set of several effects all
-parts are fitted before it is an answer, and sets that are a part of it and nearly as probable are fitted again from
-where it stands: searches of models with kinks do not end at the same depth, and what has fewer effects must not lose by
-that.
+one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before it is an
+answer, and sets that are a part of it and nearly as probable are fitted again from where it stands: searches of models
+with kinks do not end at the same depth, and what has fewer effects must not lose by that.
 """
 
 from __future__ import annotations
@@ -41,11 +40,9 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
             clearest = best.names
             say("mistakes of trackers and sensors")
             fitted = fits.without_mistakes_of(best, fitted) or fitted
-            best = _same(fitted, best)
-            if not asked and best.misfit > DIAGNOSIS.partly_misfit:
-                asked = True
-                if others := fits.with_steps_that_it_follows(best):
-                    return fitted, None, others
+            if not asked and (others := fits.with_steps_that_it_follows(_same(fitted, best))):
+                return fitted, None, others
+            asked = True
         found = compared(ledger_with(fitted))
         posterior = judged(found)
         room = DIAGNOSIS.fitted_sets + 1 - len(fitted)
@@ -69,8 +66,7 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
         wanted = [names for names in wanted if names not in tried][:room]
         if not wanted:
-            far = not asked and best.misfit > DIAGNOSIS.partly_misfit
-            others = fits.with_steps_that_it_follows(best) if far else []
+            others = [] if asked or not leaves_misfit(ledger_with(fitted)) else fits.with_steps_that_it_follows(best)
             return fitted, None if others else posterior, others
         say(" or ".join(" and ".join(names) for names in wanted))
         tried |= set(wanted)

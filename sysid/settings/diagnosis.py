@@ -120,8 +120,8 @@ class DiagnosisSettings:
     partly_misfit: float = setting(
         2.0,
         "1",
-        "Mean square of residuals, in units of the noise, above which an answer is a part, and recordings are asked "
-        "again which time steps they follow: what is left beyond noise is as large as noise.",
+        "Mean square of residuals, in units of the noise, above which an answer is a part: what is left beyond noise "
+        "is as large as noise.",
         "convention",
     )
     starts_of_a_set: int = setting(3, "1", "Shapes of a set that its fit may begin with.", "cost")

@@ -239,22 +239,21 @@ def test_beside_a_set_that_leaves_no_less_nothing_is_looked_for_again() -> None:
     assert fits.cleaned == []
 
 
-@pytest.mark.parametrize(("undecided", "size"), [(False, 2.0), (True, 2.0), (False, 1.0), (True, 1.0)])
-def test_recordings_that_follow_other_time_steps_begin_anew(undecided: bool, size: float) -> None:
-    """After the first fits, beside the set that leaves least if that is far more than noise, and before other fits."""
-    fits = Fits(seen := size * noise(2) + 6.0 * COURSES["lag"], seen)
+@pytest.mark.parametrize("undecided", [False, True])
+def test_recordings_that_follow_other_time_steps_begin_anew(undecided: bool) -> None:
+    """After the first fits, beside the set that leaves least, and before any other fit."""
+    fits = Fits(seen := noise(2) + 3.0 * COURSES["lag"], seen)
     fits.shorter = cast(Any, ["shorter"])
     if undecided:
         fits.base.undecided = ("run",)
     fitted, _, others = cast(Any, searched)(fits, lambda text: None)
-    anew = undecided and size > 1.0
-    assert (others, fits.steps_asked) == ((["shorter"], [("lag",)]) if anew else ([], []))
-    assert fits.asked[0] == ("lag",) and (len(fitted) <= 1 + DIAGNOSIS.fitted_together or not anew)
+    assert (others, fits.steps_asked) == ((["shorter"], [("lag",)]) if undecided else ([], []))
+    assert fits.asked == [("lag",)] and len(fitted) == 2
 
 
 def test_recordings_that_nothing_explains_are_asked_for_their_steps_beside_the_baseline() -> None:
     """No effect can be simulated, and what is left is no noise."""
-    fits = Fits(seen := 1.7 * noise(1), seen)
+    fits = Fits(seen := 1.5 * noise(1), seen)
     fits.shorter, fits.base.undecided = cast(Any, ["shorter"]), ("run",)
     fits.fit = lambda *_: None  # type: ignore[method-assign]
     _, _, others = cast(Any, searched)(fits, lambda text: None)
