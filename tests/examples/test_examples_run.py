@@ -8,6 +8,7 @@ import re
 import runpy
 import subprocess
 import sys
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -77,8 +78,9 @@ def test_outputs_of_other_code_and_places_in_them_are_found() -> None:
 
 
 def _kinds(cell: dict[str, Any]) -> list[str]:
-    """What a cell puts out, pictures and texts."""
-    return [kind for output in cell.get("outputs", []) for kind in output.get("data", {"text": ""})]
+    """What a cell puts out, pictures and texts; a text that came in parts is one."""
+    kinds = [kind for output in cell.get("outputs", []) for kind in output.get("data", {"text": ""})]
+    return [kind for kind, _ in groupby(kinds)]
 
 
 def test_an_effect_of_another_package_is_found_by_its_entry_point(tmp_path: Path) -> None:
