@@ -156,8 +156,8 @@ def with_all_named_errors(base: Baseline, named: NamedErrors) -> Baseline:
 
 
 def without_mistakes_of(base: Baseline, predictions: Sequence[Prediction]) -> Baseline | None:
-    """The baseline fitted on without the readings that are mistakes beside other predictions; None where they are those
-    that it is without already."""
+    """The baseline fitted on without the readings that are mistakes by the residuals of other predictions; None where
+    they are those that it is without already."""
     clean, outliers = without_outliers(base.recorded, predictions, base.noise)
     if not worth_another_fit(base.problem.runs, clean):
         return None
@@ -274,8 +274,8 @@ def _shorter_steps(
 
 
 def with_steps_that_it_follows(base: Baseline, fitted: Fitted) -> list[Run]:
-    """The recordings given, those undecided with the time steps that they follow more probably beside a model with
-    effects; empty where these are the rig's."""
+    """The recordings given, those undecided with the time steps that they follow more probably by a model with effects;
+    empty where these are the rig's."""
     found = list(base.recorded)
     asked = [run for run in found if run.name in base.undecided]
     for k, run, _, share in _halved(base.engine, base.problem, fitted, asked, base.noise):

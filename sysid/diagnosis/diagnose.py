@@ -27,7 +27,7 @@ from sysid.diagnosis.next_motion import in_words, proposed
 from sysid.diagnosis.report_notes import candidates_of, is_in_answer, limits, named_parameters, notes, outcome_by_effect
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
-from sysid.diagnosis.search import ledger_with, searched
+from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.diagnosis.validation import beyond_noise, of_readings, seen_by_both
 from sysid.diagnosis.verdict import WHERE, Verdict, hidden_by_mesh, verdict_of
 from sysid.discretisation.refinement import error_sizes
@@ -151,10 +151,9 @@ def _judged(base: Baseline, fitted: Sequence[FittedSet], found: Posterior, ledge
         return replace(verdict, kind="refine_discretisation")
     if verdict.kind not in ("named", "one_of"):
         return verdict
-    answers = [one for one in fitted if is_in_answer(one, verdict)]
-    if not answers:
+    if not any(is_in_answer(one, verdict) for one in fitted):
         return replace(verdict, kind="unknown")
-    if min(temper_of(one.ledger) for one in answers) > DIAGNOSIS.partly_misfit:
+    if leaves_misfit(ledger):
         return replace(verdict, kind="partly")
     return verdict
 

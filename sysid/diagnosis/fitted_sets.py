@@ -106,9 +106,9 @@ class SetFits:
         return FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
 
     def without_mistakes_of(self, best: FittedSet, fitted: Sequence[FittedSet]) -> list[FittedSet] | None:
-        """All sets, of which the baseline is the first, fitted on without the readings that are mistakes beside the
-        ``best``; None where they are those that are left out already. Where a model is far off, its misses hide them.
-        """
+        """All sets, of which the baseline is the first, fitted on without the readings that are mistakes by the
+        residuals of the ``best``; None where they are those that are left out already. Those of a model that is far off
+        hide them."""
         base = without_mistakes_of(self._base, best.fitted.predictions)
         if base is None:
             return None
@@ -119,7 +119,7 @@ class SetFits:
         return [self.baseline, *(one for one in again if one is not None)]
 
     def with_steps_that_it_follows(self, best: FittedSet) -> list[Run]:
-        """The recordings given, those that could not tell their time steps with the ones that they follow beside the
+        """The recordings given, those that could not tell their time steps with the ones that they follow by the
         ``best`` set; empty where these are the rig's."""
         return with_steps_that_it_follows(self._base, best.fitted)
 
@@ -169,7 +169,9 @@ class SetFits:
         fitted = one.fitted
         at = np.array([there[p.target] for p in fitted.parameters])
         start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), at)
-        again = self._fitted(start, (), " and ".join(one.names))
+        name = " and ".join(one.names)
+        again = self._fitted(start, (), name)
+        self.failed.pop(name, None)  # It is fitted, whatever became of this.
         if again is None or again.fitted.residual @ again.fitted.residual >= fitted.residual @ fitted.residual:
             return one
         if not one.hypotheses:

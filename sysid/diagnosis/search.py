@@ -3,11 +3,11 @@
 The posterior is that of the rig and of all sets of effects (:mod:`sysid.comparison.posterior`), each in the ledger
 where most of its effects are fitted. The most probable sets that are not fitted yet are fitted next. Where none leaves
 noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
-evidence says little of which is best. Mistakes of trackers and sensors are looked for again beside each set that leaves
-less than all before, and recordings that could not tell which time steps they follow are asked again beside the first
-one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before it is an
-answer, and sets that are a part of it and nearly as probable are fitted again from where it stands: searches of models
-with kinks do not end at the same depth, and what has fewer effects must not lose by that.
+evidence says little of which is best. Mistakes of trackers and sensors are looked for again in the residuals of each
+set that leaves less than all before, and recordings that could not tell which time steps they follow are asked again by
+the first one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before
+it is an answer, and sets that are a part of it and nearly as probable are fitted again from where it stands: searches
+of models with kinks do not end at the same depth, and what has fewer effects must not lose by that.
 """
 
 from __future__ import annotations

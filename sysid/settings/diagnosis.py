@@ -117,13 +117,6 @@ class DiagnosisSettings:
     misfit_deviations: float = setting(
         5.0, "sd", "Standard deviations of chance beyond which a mean square of residuals is no noise.", "convention"
     )
-    partly_misfit: float = setting(
-        2.0,
-        "1",
-        "Mean square of residuals, in units of the noise, above which an answer is a part: what is left beyond noise "
-        "is as large as noise.",
-        "convention",
-    )
     starts_of_a_set: int = setting(3, "1", "Shapes of a set that its fit may begin with.", "cost")
 
     # place and time of a mismatch

@@ -30,7 +30,7 @@ class SetupCheck:
 
 def check_setup(rig: Rig, run: Run, costs: RolloutCosts | None = None) -> SetupCheck:
     """What speaks for a mistake of set-up in a run: the likeliest mistake, how much it explains, the line that mends
-    the rig, and what explains the run as well. ``costs``: is told of each rollout."""
+    the rig, and what explains the run as well. ``costs``: hears of each rollout."""
     comparison = compare(rig, run, costs=costs)
     named = comparison.named
     if named:

@@ -60,7 +60,7 @@ class Comparison:
 def compare(
     rig: Rig, run: Run, noise: Mapping[str, ChannelNoise] | None = None, costs: RolloutCosts | None = None
 ) -> Comparison:
-    """Compare one run with its rig. ``noise``: of its channels, estimated if left out; ``costs``: is told of each
+    """Compare one run with its rig. ``noise``: of its channels, estimated if left out; ``costs``: hears of each
     rollout."""
     probe = probe_of(rig, run, noise or channel_noise(rig, [run]))
     rollouts = Rollouts(rig, probe, costs)

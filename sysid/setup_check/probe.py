@@ -158,7 +158,7 @@ def _within_time(most_s: float, tell: OnStep) -> OnStep:
 class Rollouts:
     """Predictions of the instants of a probe along other poses; the scene is built once. A rollout that takes far
     longer than the first one, that of the recording as it is, and than its share of what that one may take, is
-    given up: it is far from anything that happened. ``costs``: is told of each."""
+    given up: it is far from anything that happened. ``costs``: hears of each."""
 
     def __init__(self, rig: Rig, probe: Probe, costs: RolloutCosts | None = None) -> None:
         self.probe, self._rig, self._costs = probe, rig, costs or RolloutCosts()

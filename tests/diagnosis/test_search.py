@@ -199,10 +199,11 @@ def test_what_is_far_less_probable_is_not_fitted_again() -> None:
     assert posterior.models[0].log_bayes_factor > DIAGNOSIS.rival_nats and fits.again == []
 
 
-@pytest.mark.parametrize("better", [True, False])
+@pytest.mark.parametrize("better", [True, False, None])
 @pytest.mark.parametrize("names", [(), ("lag",)])
-def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool, names: tuple[str, ...]) -> None:
-    """It begins where the larger set stands, with its own parameters; the baseline is that of all that follows."""
+def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool | None, names: tuple[str, ...]) -> None:
+    """It begins where the larger set stands, with its own parameters; the baseline is that of all that follows. One
+    that cannot be simulated from there has not failed."""
     modulus, size, other = (SimpleNamespace(target=t) for t in ("sheet.E", "effects.lag.s", "effects.creep.share"))
     own = [modulus] if not names else [modulus, size]
     effect = SimpleNamespace(effect=SimpleNamespace(name="lag"))
@@ -212,18 +213,21 @@ def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool, name
     whole = FittedSet((), cast(Any, larger), None, cast(Any, None))
     found = SimpleNamespace(**{**vars(model), "residual": np.full(3, 0.5 if better else 2.0)})
     fits = SetFits.__new__(SetFits)
-    fits._base, fits.baseline = cast(Any, Base("before")), one
+    fits._base, fits.baseline, fits.failed = cast(Any, Base("before")), one, {}
     begun: list[np.ndarray] = []
 
     def fitted(start: Any, before: Any, name: str) -> Any:
         begun.append(start.scaled)
+        if better is None:
+            fits.failed[name] = "could not be simulated"
+            return None
         return FittedSet(one.hypotheses, cast(Any, found), None, cast(Any, None))
 
     fits._fitted = fitted  # type: ignore[method-assign, assignment]
     again = fits.fitted_from(one, whole)
     np.testing.assert_array_equal(begun[0], [1.0] if not names else [1.0, 2.0])
-    assert (again.fitted is found) == better
-    assert (fits._base.fitted is found) == (fits.baseline.fitted is found) == (better and not names)
+    assert (again.fitted is found) == bool(better) and not fits.failed
+    assert (fits._base.fitted is found) == (fits.baseline.fitted is found) == bool(better and not names)
 
 
 @dataclass

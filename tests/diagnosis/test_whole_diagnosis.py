@@ -229,7 +229,7 @@ def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
     assert any("The baseline fit did not converge" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(("size", "verdict"), [(6.0, "partly"), (0.5, "named")])
+@pytest.mark.parametrize(("size", "verdict"), [(6.0, "partly"), (1.0, "partly"), (0.1, "named")])
 def test_what_leaves_more_than_noise_is_a_part_of_the_answer(
     size: float, verdict: str, diagnose: Callable[..., Diagnosis]
 ) -> None:
