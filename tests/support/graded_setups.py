@@ -67,10 +67,9 @@ STARTS = ("start_position", "start_orientation")
 INSTANTS = 40
 """At which an effect is looked for."""
 
-CHANCE = 4.0 * float(chi2.ppf(1.0 - 1e-3 / 6.0, INSTANTS)) / INSTANTS
-"""Chi-square for each degree of freedom below which a change is chance: readings of an axis that is reversed differ by
-twice its noise, of which four times the variance is the mean square, and the most of six components exceeds this once
-in a thousand times."""
+CHANCE = float(chi2.ppf(1.0 - 1e-3 / 6.0, INSTANTS)) / INSTANTS
+"""Mean square of a change, in units of its own variance, that the most of six components exceeds by chance once in a
+thousand times."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,8 @@ def graded(setup: Setup, made: MistakenRecording) -> Graded:
 
 
 def effect_of(setup: Setup, wrong: Run) -> float:
-    """What a mistake changes in the quantity that it changes most, over the noise of the means."""
+    """What a mistake changes in the quantity that it changes most, in standard deviations of that change: readings with
+    and without the mistake have each their noise, and one that is reversed differs by twice its own."""
     rig, right = setup.rig, setup.run
     noise = channel_noise(rig, [right])
     moved = any(
@@ -186,12 +186,16 @@ def effect_of(setup: Setup, wrong: Run) -> float:
         if other is None or other.values.shape != m.values.shape:
             return float("inf")
         change = other.values - m.values
+        reversed_ = np.isfinite(m.values).any(axis=0) & np.all(
+            np.isclose(np.nan_to_num(other.values), -np.nan_to_num(m.values), rtol=1e-9, atol=0.0), axis=0
+        )
         if before is not None and after is not None:
             change = change + before[m.channel] - after[m.channel]
         bins = np.minimum((m.t / max(m.t[-1], 1e-9) * INSTANTS).astype(int), INSTANTS - 1)
         bins = np.unique(bins, return_inverse=True)[1]
         means = averaged(change, bins)
         sigma = noise[m.channel].sigma * np.sqrt(noise[m.channel].long_run / np.bincount(bins).min())
+        sigma = sigma * np.where(reversed_, 2.0, np.sqrt(2.0))
         for _, columns in quantities(m):
             own = means[:, columns]
             if m.kind == "wrench":
