@@ -12,7 +12,7 @@ UNUSABLE = 2
 """Exit code where a command, or a node, cannot be used as it was called."""
 
 
-def told(error: ThinshellError) -> int:
+def report_error(error: ThinshellError) -> int:
     """Print an error, and return the exit code."""
     print(f"error: {error}", file=sys.stderr)
     return UNUSABLE
@@ -26,7 +26,7 @@ def command(work: Callable[[Sequence[str]], None]) -> Callable[..., int]:
         try:
             work(sys.argv[1:] if words is None else list(words))
         except ThinshellError as error:
-            return told(error)
+            return report_error(error)
         return 0
 
     return main

@@ -107,8 +107,8 @@ def test_a_fit_tells_how_far_it_is_and_what_it_found(client: Client, folder: Pat
     assert json.loads(result.json)["output_dir"] == result.output_dir
     shares = [said.share for said in goal.feedback]
     assert shares == sorted(shares) and shares[-1] == 1.0
-    told = [said for said in goal.feedback if said.evaluations]
-    assert told and list(told[-1].names) == ["strip.E_pa"]
+    evaluated = [said for said in goal.feedback if said.evaluations]
+    assert evaluated and list(evaluated[-1].names) == ["strip.E_pa"]
 
 
 def test_a_fit_is_cancelled_and_goes_on_where_it_was(client: Client, node: NodeProcess, folder: Path) -> None:

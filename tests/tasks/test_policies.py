@@ -98,7 +98,7 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
         (["test", "nowhere"], "nowhere has no policy"),
     ],
 )
-def test_mistakes_are_told(
+def test_mistakes_are_reported(
     arguments: list[str],
     message: str,
     tmp_path: Path,
