@@ -51,7 +51,7 @@ def stages_of(rollouts: Mapping[str, Mapping[str, float]], between_s: Mapping[st
 class Work:
     """Tells how far the work of some stages is, to ``tell``. ``recordings``: how many it is about.
 
-    Stages are entered in their order; some may be left out. ``costs``: to be told of rollouts.
+    Stages are entered in their order; some may be left out. ``costs``: measures rollouts.
     """
 
     def __init__(
@@ -152,4 +152,4 @@ def work_of(
 
 def _left(expected: float, done: float) -> float:
     """What is left of what a stage is expected to need: some, while it goes on."""
-    return max(expected - done, PROGRESS.least_left_share * expected)
+    return max(expected - done, PROGRESS.overdue_share * expected)
