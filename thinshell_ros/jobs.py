@@ -138,6 +138,7 @@ class Jobs:
             return ""
         if self._process.stop() is not None:
             return f"{self.state.job_id} had just succeeded in writing its results."
-        search = isinstance(self.request, OptimiseRequest)
-        left = f"what it has tried is in {self.request.out}" if search and self.request else "nothing was written"
+        left = "nothing was written"
+        if isinstance(self.request, OptimiseRequest):
+            left = f"what it has tried is in {self.request.out}"
         return f"{self.state.job_id} was cancelled; {left}."

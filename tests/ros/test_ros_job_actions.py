@@ -74,13 +74,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def node(ros: None, folder: Path) -> Iterator[NodeProcess]:
     pytest.importorskip("thinshell_interfaces.action", reason="thinshell_interfaces is not built")
-    node = NodeProcess("sysid_node", folder / "output", rig=RIG, output_dir=folder / "out", **{"fit.nuisance": "none"})
-    try:
+    given = {"output_dir": folder / "out", "fit.nuisance": "none"}
+    with NodeProcess("sysid_node", folder / "output", rig=RIG, **given) as node:
         yield node
-        assert node.stop() == 0, node.output
-        assert "Traceback" not in node.output, node.output
-    finally:
-        node.kill()
 
 
 @pytest.fixture

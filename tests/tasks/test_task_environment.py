@@ -128,6 +128,8 @@ def test_mistakes_are_refused(tmp_path: Path) -> None:
         TaskEnv(str(tmp_path / "small.yaml"), 9)
     with pytest.raises(ConfigError, match=r"card.E_pa is drawn from 2 to 1, but may be"):
         small_env(tmp_path, vary={"card.E_pa": (2.0, 1.0)})
+    with pytest.raises(ConfigError, match=r"card.nu is drawn from 0.2 to 1.5, but may be"):
+        small_env(tmp_path, vary={"card.nu": (0.2, 1.5)})
     with pytest.raises(ConfigError, match=r"around has the shape \(12,\), but .* with 3 decisions has 18 numbers"):
         small_env(tmp_path, around=np.zeros(12))
 
