@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from small_task import small_task
 from test_ros_fit_request import request_of
+from test_ros_job_process import FIT, until
 
 pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message packages")
 
@@ -50,12 +51,6 @@ def empty_goal(kind: str, **given: Any) -> SimpleNamespace:
     return SimpleNamespace(**{name: plain[word] for name, word in parts(kind)[0].items()} | given)
 
 
-FITTED = {
-    "rig": "pull", "correlation": [[1.0]], "misfit": 1.1, "converged": True, "no_success": "", "unexplained": [],
-    "undetermined": [], "identifiability": [], "remarks": [], "cautions": [], "notes": [],
-    "provenance": {"bags": [], "versions": {}},
-    "estimates": [{"name": "strip.E_pa", "value": 4e9, "sd": 0.01, "log": True, "ci95": [3.9e9, 4.1e9], "unit": "Pa"}],
-}  # fmt: skip
 DIAGNOSED = {
     "rig": "pull", "verdict": "named", "sentence": "It slips.", "explained": True, "not_explained": [],
     "effects": [{"name": "static_friction", "probability": None}], "next_experiment": "", "amended_parameters": [],
@@ -82,7 +77,7 @@ def requests(folder: Path) -> dict[str, tuple[Any, dict[str, Any]]]:
     fit = request_of(RIG, folder)
     out = folder / "fits" / "job_7"
     return {
-        "fit": (fit, FITTED),
+        "fit": (fit, FIT),
         "diagnose": (DiagnosisRequest(RIG, fit.bags, (), out), DIAGNOSED),
         "plan": (PlanRequest(RIG, (), ("strip.E_pa",), frozenset(), out), PLANNED),
         "optimise": (OptimiseRequest("small", None, Settings(), out), OPTIMISED),
@@ -120,6 +115,43 @@ def test_results_of_actions_carry_what_was_found(tmp_path: Path) -> None:
     assert diagnosis["amended_rig"] == f"{tmp_path / 'fits' / 'job_7'}/amended_rig.yaml"
     assert (plan["lower"], plan["upper"], plan["determined"]) == ([3e9], [5e9], [True])
     assert (filled["optimise"]["reward"], filled["optimise"]["success"]) == (0.125, True)
+
+
+@pytest.mark.parametrize("kind", ["plan", "optimisation"])
+def test_the_process_of_a_job_plans_and_searches(kind: str, tmp_path: Path) -> None:
+    """It writes what the node then publishes."""
+    request: Any
+    if kind == "plan":
+        values = {
+            "plan.experiments": [PULL],
+            "fit.parameters": ["strip.E"],
+            "fit.nuisance": "none",
+            "output_dir": str(tmp_path),
+        }
+        request = plan_request(RIG, values, "job_7")
+    else:
+        small_task(tmp_path)
+        request = OptimiseRequest(
+            str(tmp_path / "small.yaml"), None, Settings("cem", rollouts=2, seed=1), tmp_path / "job_7"
+        )
+    jobs = Jobs(lambda events: None)
+    jobs.start(request, "job_7")
+
+    def ended() -> bool:
+        jobs.poll()
+        return not jobs.running
+
+    try:
+        until(ended)
+    finally:
+        jobs.end()
+    assert jobs.state.state == "succeeded", jobs.state.doing
+    assert (request.out / request.file).is_file()
+    if kind == "plan":
+        low, high = jobs.state.result["ci95"]["strip.E_pa"]
+        assert low < {p.name: p.value for p in list_parameters(RIG)}["strip.E_pa"] < high  # type: ignore[operator]
+    else:
+        assert jobs.state.result["rollouts"] == 2
 
 
 def test_a_goal_gives_what_is_neither_empty_nor_zero() -> None:

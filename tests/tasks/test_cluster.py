@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from sim_core.optimise import Settings, optimise
 from sim_core.optimise.cluster import ClusterEvaluator, on_worker, versions
 from sim_core.optimise.evaluators import Request
 from sim_core.optimise.problem import read_log
+from sim_core.rigs import with_parameters
 from sim_core.tasks import MadeTask
 
 distributed = pytest.importorskip("distributed")
@@ -99,6 +101,14 @@ def test_a_worker_with_other_versions_is_refused(tmp_path: Path) -> None:
     made = small_task(tmp_path)
     with pytest.raises(ConfigError, match=r"A worker has numpy .* in place of 0.1.*same versions"):
         on_worker(made, False, Request(np.zeros(12)), {**versions(), "numpy": "0.1"})
+
+
+def test_a_worker_makes_each_rollout_on_the_rig_that_it_is_for(tmp_path: Path) -> None:
+    made = small_task(tmp_path)
+    heavier = replace(made, rig=with_parameters(made.rig, {"card.density_kg_m3": 800.0}))
+    request = Request(np.zeros(12))
+    first, other, again = (on_worker(m, False, request, versions()).reward for m in (made, heavier, made))
+    assert first == again != other
 
 
 def test_a_scheduler_that_is_not_there_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
