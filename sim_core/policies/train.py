@@ -43,7 +43,7 @@ NETWORK = [64, 64]
 """Sizes of the hidden layers of all networks."""
 
 ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
-    "ppo": (PPO, {"gae_lambda": 0.95, "n_epochs": 10, "ent_coef": 0.0, "learning_rate": 1e-3}),
+    "ppo": (PPO, {"learning_rate": 1e-3}),
     "sac": (
         SAC,
         {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.01", "learning_rate": 1e-3},

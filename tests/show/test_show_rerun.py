@@ -17,7 +17,7 @@ from sysid.show.subject import Marks, Subject, resting, still
 
 RISE_M = 0.0004
 TURN_RAD = 0.02
-BESIDE_PX = 3.0
+APART_PX = 3.0
 
 
 def pressed(measured: bool) -> Subject:
@@ -49,7 +49,7 @@ def pressed(measured: bool) -> Subject:
         markers[name] = Marks(marks.channel, marks.bodies, marks.tracked, marks.ids, values)
     tracks = {}
     for name, marks in found.tracks.items():
-        seen = np.stack([found.pixels(name, k) for k in steps]) + [BESIDE_PX, 0.0]
+        seen = np.stack([found.pixels(name, k) for k in steps]) + [APART_PX, 0.0]
         tracks[name] = Marks(marks.channel, marks.bodies, marks.tracked, marks.ids, seen)
     other = {"force_plate": wrenches["force_plate"] + 0.5}
     other["force_plate"][0] = np.nan
@@ -123,7 +123,7 @@ def test_cameras_stand_where_they_look_from_and_see_what_was_tracked(path: Path)
     simulated, measured = (
         values_of(there[f"/pictures/outside/{kind}"], "positions")[0] for kind in ("simulated", "measured")
     )
-    np.testing.assert_allclose(measured - simulated, np.tile([BESIDE_PX, 0.0], (len(simulated), 1)), atol=1e-3)
+    np.testing.assert_allclose(measured - simulated, np.tile([APART_PX, 0.0], (len(simulated), 1)), atol=1e-3)
 
 
 def test_wrenches_are_there_where_they_were_measured(path: Path) -> None:
