@@ -36,21 +36,22 @@ class ProgressSettings:
         "judgement",
     )
 
-    # costs of rollouts
+    # costs of rollouts before one of the kind has run: geometric means over three rigs
+    # (tests/support/costs_of_rollouts.py)
     finer_cost_ratio: float = setting(
-        4.0, "1", "Cost of a rollout on cells half as large over that on the rig's, before one has run.", "judgement"
+        7.0, "1", "Cost of a rollout on cells half as large over that on the rig's, over three rigs.", "measured"
     )
     shorter_cost_ratio: float = setting(
-        2.0, "1", "Cost of a rollout with shorter steps over that with the rig's, before one has run.", "judgement"
+        1.7, "1", "Cost of a rollout with shorter steps over that with the rig's, over three rigs.", "measured"
     )
     derivatives_cost_ratio: float = setting(
-        1.5, "1", "Cost of a rollout with derivatives over a plain one, before one has run.", "judgement"
+        1.8, "1", "Cost of a rollout with derivatives over a plain one, over three rigs.", "measured"
     )
     responses_cost_ratio: float = setting(
-        6.0, "1", "Cost of a rollout with responses to all effects over a plain one, before one has run.", "judgement"
+        28.0, "1", "Cost of a rollout with responses to all effects over a plain one, over two rigs.", "measured"
     )
     beginning_cost_ratio: float = setting(
-        0.3, "1", "Cost of a rollout of the beginning of a recording over a whole one, before one has run.", "judgement"
+        0.4, "1", "Cost of a rollout of the beginning of a recording over a whole one, over three rigs.", "measured"
     )
 
     # stages
