@@ -19,12 +19,12 @@ def report_error(error: ThinshellError) -> int:
 
 
 def command(work: Callable[[Sequence[str]], None]) -> Callable[..., int]:
-    """A command, which takes its words (default: those of the command line) and returns its exit code."""
+    """A command, which takes its arguments (default: those of the command line) and returns its exit code."""
 
     @wraps(work)
-    def main(words: Sequence[str] | None = None) -> int:
+    def main(arguments: Sequence[str] | None = None) -> int:
         try:
-            work(sys.argv[1:] if words is None else list(words))
+            work(sys.argv[1:] if arguments is None else list(arguments))
         except ThinshellError as error:
             return report_error(error)
         return 0

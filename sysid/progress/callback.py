@@ -1,4 +1,4 @@
-"""What work tells of itself while it runs."""
+"""What work reports while it runs."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class RolloutCosts:
 
         def on_step(done: int, total: int) -> None:
             here.stepped(self._clock() - here.since, done / max(total, 1))
-            self._tell()
+            self._notify()
 
         try:
             yield on_step
@@ -99,9 +99,9 @@ class RolloutCosts:
             with self._lock:
                 self._running.remove(here)
                 self._took.setdefault(kind, []).append(self._clock() - here.since)
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if self._on_news is not None:
             self._on_news()
 
