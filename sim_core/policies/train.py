@@ -247,16 +247,17 @@ def _opened(training: Training, folder: Path) -> Progress:
             lines = log.read_text(encoding="utf-8").splitlines(keepends=True)[: progress.lines]
             log.write_text("".join(lines), encoding="utf-8")
     except (OSError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
         raise ConfigError(f"The folder {folder} cannot be used: {error}.", "Name another one.") from None
     return progress
 
 
 def read_progress(folder: Path) -> Progress:
-    """How far a training is."""
+    """How far a training is. Raises ``ConfigError`` for a file that does not say it."""
     path = folder / PROGRESS
-    return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
+    try:
+        return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path} does not say how far the training is: {error}.", "Name another folder.") from None
 
 
 def read_training(folder: Path) -> Training:
