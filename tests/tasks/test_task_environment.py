@@ -150,16 +150,6 @@ def test_decisions_are_executed_within_the_limits_of_the_hands(tmp_path: Path) -
     np.testing.assert_array_equal(after, before)
 
 
-def test_turns_take_what_the_limits_leave_before_translations(tmp_path: Path) -> None:
-    env = small_env(tmp_path)
-    turns = []
-    for lowered in (0.0, 1.0):
-        env.reset(seed=0)
-        env.step(np.array([0.0, 0.0, lowered, 1.0, -1.0, 1.0]))
-        turns.append(env.action_so_far.reshape(3, 6)[0, 3:])
-    np.testing.assert_array_equal(*turns)
-
-
 def test_a_decision_reaches_as_far_about_a_motion_as_is_said(tmp_path: Path) -> None:
     env = small_env(tmp_path, around=np.full(18, 0.01), reach=0.5)
     env.reset(seed=0)
