@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from sim_core.errors import ThinshellError, WorkerError
-from thinshell_ros.command import told
+from thinshell_ros.command import report_error
 
 RIG = """
 name: bench
@@ -110,7 +110,7 @@ def main() -> int:
         try:
             _measure(node.pid, given.seconds, given.slow)
         except ThinshellError as error:
-            return told(error)
+            return report_error(error)
         finally:
             node.send_signal(signal.SIGINT)
             node.wait()

@@ -247,7 +247,7 @@ class Robot:
 
 
 @command
-def main(words: Sequence[str]) -> None:
+def main(arguments: Sequence[str]) -> None:
     """Go round, and print a line for each round."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0] if __doc__ else "")
     parser.add_argument("task", help="task: a name, NAME:VARIANT or a file")
@@ -258,9 +258,9 @@ def main(words: Sequence[str]) -> None:
     parser.add_argument(
         "--simulated", metavar="RIG", default="", help="the robot is a sim_node of this rig that publishes /clock"
     )
-    given = parser.parse_args(words)
+    given = parser.parse_args(arguments)
 
-    def tell(done: Round) -> None:
+    def report(done: Round) -> None:
         found = f"; {done.verdict}: {', '.join(done.effects) or 'no effect'}" if done.verdict else ""
         there = "" if done.achieved is None else f", {done.achieved:.4g} on the robot"
         print(f"Round {done.number}: reward {done.reward:.4g}{there}, {done.state}, {done.watch}{found}", flush=True)
@@ -269,7 +269,7 @@ def main(words: Sequence[str]) -> None:
         raise ConfigError(f"{given.out} exists already.", "Choose another folder, or move it away first.")
     with Robot(given.namespace, bool(given.simulated)) as robot:
         out, replay = given.out.absolute(), robot.replay
-        close_loop(given.task, out, given.rounds, given.budget, replay, on_round=tell, simulated=given.simulated)
+        close_loop(given.task, out, given.rounds, given.budget, replay, on_round=report, simulated=given.simulated)
 
 
 if __name__ == "__main__":

@@ -12,21 +12,21 @@ UNUSABLE = 2
 """Exit code where a command, or a node, cannot be used as it was called."""
 
 
-def told(error: ThinshellError) -> int:
+def report_error(error: ThinshellError) -> int:
     """Print an error, and return the exit code."""
     print(f"error: {error}", file=sys.stderr)
     return UNUSABLE
 
 
 def command(work: Callable[[Sequence[str]], None]) -> Callable[..., int]:
-    """A command, which takes its words (default: those of the command line) and returns its exit code."""
+    """A command, which takes its arguments (default: those of the command line) and returns its exit code."""
 
     @wraps(work)
-    def main(words: Sequence[str] | None = None) -> int:
+    def main(arguments: Sequence[str] | None = None) -> int:
         try:
-            work(sys.argv[1:] if words is None else list(words))
+            work(sys.argv[1:] if arguments is None else list(arguments))
         except ThinshellError as error:
-            return told(error)
+            return report_error(error)
         return 0
 
     return main

@@ -72,12 +72,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     parameters; ``job_id``: name of the folder that is made in ``output_dir``.
     """
     rig, bags, held_out = _recordings(rig, topics, values)
-    names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
-    if not names:
-        raise ConfigError(
-            "It is not said what to fit.",
-            "Set fit.parameters to a list of names, as 'thinshell params' prints them.",
-        )
+    names = parameters_of(rig, values, "what to fit")
     initial = _numbers(values["fit.initial"], names, "fit.initial")
     rig = with_parameters(rig, dict(zip(names, initial, strict=False)))
     lower = _numbers(values["fit.lower"], names, "fit.lower") or [-math.inf] * len(names)
@@ -100,7 +95,7 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     per_bag = [resolve_name(rig, name) for name in values["fit.per_bag"] or []]
     asked_for(rig, names, priors=priors, bounds=bounds, per_bag=per_bag, bags=[str(bag) for bag in bags])
     options = FitOptions(
-        nuisance=[word.strip() for word in values["fit.nuisance"].split(",")],
+        nuisance=nuisance_of(values),
         per_bag=per_bag,
         priors=priors,
         bounds=bounds,
@@ -112,6 +107,22 @@ def fit_request(rig: Rig, topics: Mapping[str, str], values: Mapping[str, Any], 
     )
     out = folder_of(values["output_dir"]) / job_id
     return FitRequest(rig, bags, held_out, tuple(names), options, out)
+
+
+def parameters_of(rig: Rig, values: Mapping[str, Any], purpose: str) -> list[str]:
+    """Full names of the parameters of ``fit.parameters``. Raises ``ConfigError`` where there is none; ``purpose``: what
+    is not said then."""
+    names = [resolve_name(rig, name) for name in values["fit.parameters"] or []]
+    if not names:
+        raise ConfigError(
+            f"It is not said {purpose}.", "Set fit.parameters to a list of names, as 'thinshell params' prints them."
+        )
+    return names
+
+
+def nuisance_of(values: Mapping[str, Any]) -> list[str]:
+    """Kinds of nuisance parameters of ``fit.nuisance``, as they are written."""
+    return [word.strip() for word in values["fit.nuisance"].split(",")]
 
 
 def topic_names(rig: Rig) -> dict[str, str]:

@@ -91,11 +91,11 @@ def stacked(names: Sequence[str]) -> Any:
 
 
 @command
-def main(words: Sequence[str]) -> None:
+def main(arguments: Sequence[str]) -> None:
     """Print the layout of a rig."""
-    if not 1 <= len(words) <= 2:
+    if not 1 <= len(arguments) <= 2:
         raise ConfigError("One rig is needed.", "Call it as: python -m thinshell_ros.foxglove RIG [NAMESPACE]")
-    print(json.dumps(layout(load_rig(words[0]), *words[1:]), indent=1))
+    print(json.dumps(layout(load_rig(arguments[0]), *arguments[1:]), indent=1))
 
 
 if __name__ == "__main__":

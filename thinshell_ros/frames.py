@@ -136,11 +136,11 @@ def _words(values: Sequence[float] | np.ndarray) -> str:
 
 
 @command
-def main(words: Sequence[str]) -> None:
+def main(arguments: Sequence[str]) -> None:
     """Print the URDF of a rig."""
-    if len(words) != 1:
+    if len(arguments) != 1:
         raise ConfigError("One rig is needed.", "Call it as: python -m thinshell_ros.frames RIG")
-    print(urdf(load_rig(words[0])), end="")
+    print(urdf(load_rig(arguments[0])), end="")
 
 
 if __name__ == "__main__":

@@ -131,7 +131,7 @@ class JobActions:
 
     def _on_goal(self, kind: str, handle: ServerGoalHandle) -> None:
         try:
-            # The job tells of itself before its handle is known here, and once more by the feedback below.
+            # The job reports before its handle is known here, and once more by the feedback below.
             self._begin(kind, given_by(kind, handle.request), getattr(handle.request, "resume", ""))
         except ThinshellError as error:
             words = str(error)
@@ -143,9 +143,9 @@ class JobActions:
             self._servers[kind].end(handle, refuse)
             return
         self._running = kind, handle
-        self.tell()
+        self.publish()
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Feedback of the job of the goal that is executed, and its result where it has ended."""
         if self._running is None:
             return
@@ -171,7 +171,7 @@ class JobActions:
     def check_cancelled(self) -> None:
         """End the job whose goal is to be cancelled."""
         if self._running is not None and self._running[1].is_cancel_requested:
-            self._jobs.cancel()  # which tells of itself
+            self._jobs.cancel()  # which publishes its end
 
     def destroy(self) -> None:
         """End the servers."""

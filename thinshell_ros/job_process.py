@@ -1,4 +1,4 @@
-"""The process that does a job, and what it tells. No ROS."""
+"""The process that does a job, and what it reports. No ROS."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ TIDIED = "ignore:resource_tracker"
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the work that is done, 0 to 1, and what is being done."""
+    """``share`` of the work that is done, 0 to 1; ``text``: what is being done."""
 
     share: float
-    words: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -79,33 +79,33 @@ def run(link: Connection, request: Request) -> None:
 
 
 def _work(link: Connection, request: Request) -> None:
-    def tell(share: float, words: str) -> None:
-        link.send(Share(share, words))
+    def report(share: float, text: str) -> None:
+        link.send(Share(share, text))
 
     def warn(text: str) -> None:
         link.send(Warned(text))
 
     if isinstance(request, DiagnosisRequest):
         diagnose_bags(
-            request.rig, request.bags, held_out=request.held_out, out=request.out, on_progress=tell, on_warning=warn
+            request.rig, request.bags, held_out=request.held_out, out=request.out, on_progress=report, on_warning=warn
         )
     elif isinstance(request, PlanRequest):
         from sysid.workflow.plan import plan_to_folder
 
         plan_to_folder(
             request.rig, request.experiments, request.names,
-            out=request.out, on_progress=tell, nuisance=request.nuisance,
+            out=request.out, on_progress=report, nuisance=request.nuisance,
         )  # fmt: skip
     elif isinstance(request, OptimiseRequest):
         from sim_core.tasks import load_task
         from sysid.workflow.optimise import optimise_task
 
-        tell(0.0, "making the scene")
-        optimise_task(load_task(request.task, rig=request.rig), request.settings, request.out, tell)
+        report(0.0, "making the scene")
+        optimise_task(load_task(request.task, rig=request.rig), request.settings, request.out, report)
     else:
         fit_bags(
             request.rig, request.bags, request.names, request.options, held_out=request.held_out, out=request.out,
-            on_progress=tell, on_step=link.send, on_warning=warn,
+            on_progress=report, on_step=link.send, on_warning=warn,
         )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ class JobState:
     def take(self, event: Event, request: Request) -> None:
         """Take in what the process reported."""
         if isinstance(event, Share):
-            self.share, self.doing = event.share, event.words
+            self.share, self.doing = event.share, event.text
         elif isinstance(event, Step):
             self.step = event
         elif isinstance(event, Warned):

@@ -84,8 +84,8 @@ class Jobs:
         again = new_id(request.kind)
         if step is None:
             return replace(request, out=request.out.with_name(again)), again
-        believed = {resolve_name(request.rig, n) for n in (*request.rig.known, *request.options.priors)}
-        free = {n: v for n, v in step.values.items() if n in request.names and n not in believed}
+        known = {resolve_name(request.rig, n) for n in (*request.rig.known, *request.options.priors)}
+        free = {n: v for n, v in step.values.items() if n in request.names and n not in known}
         most = request.options.max_evaluations
         options = request.options
         if most is not None:
@@ -138,6 +138,7 @@ class Jobs:
             return ""
         if self._process.stop() is not None:
             return f"{self.state.job_id} had just succeeded in writing its results."
-        search = isinstance(self.request, OptimiseRequest)
-        left = f"what it has tried is in {self.request.out}" if search and self.request else "nothing was written"
+        left = "nothing was written"
+        if isinstance(self.request, OptimiseRequest):
+            left = f"what it has tried is in {self.request.out}"
         return f"{self.state.job_id} was cancelled; {left}."

@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 from sim_core.errors import ConfigError
 from sim_core.optimise import Settings, method
 from sim_core.optimise.run import RUN
-from sim_core.rigs import Rig, resolve_name
+from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment, compile_experiment, load_experiment
 from sim_core.tasks import load_task
 from sysid.model.nuisance_parameters import checked_kinds
-from thinshell_ros.fit_request import folder_of
+from thinshell_ros.fit_request import folder_of, nuisance_of, parameters_of
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,8 @@ def plan_request(rig: Rig, values: Mapping[str, Any], job_id: str) -> PlanReques
     experiments = tuple(load_experiment(name) for name in given)
     for experiment in experiments:
         compile_experiment(experiment, rig)
-    names = tuple(resolve_name(rig, name) for name in values["fit.parameters"] or [])
-    if not names:
-        raise ConfigError(
-            "It is not said what the experiments are to determine.",
-            "Set fit.parameters to a list of names, as 'thinshell params' prints them.",
-        )
-    kinds = checked_kinds([word.strip() for word in values["fit.nuisance"].split(",")])
+    names = tuple(parameters_of(rig, values, "what the experiments are to determine"))
+    kinds = checked_kinds(nuisance_of(values))
     return PlanRequest(rig, experiments, names, kinds, folder_of(values["output_dir"]) / job_id)
 
 

@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
 from sim_core.errors import ThinshellError
-from thinshell_ros.command import told
+from thinshell_ros.command import report_error
 
 DRAIN_S = 0.3
 """Time [s] in which a node that has been asked to end takes what has already arrived."""
@@ -33,7 +33,7 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ThinshellError as error:
-        code = told(error)
+        code = report_error(error)
     except Exception:
         if ok():
             raise
@@ -84,7 +84,7 @@ def run_and_finish(make: Callable[[], FinishingNode], args: Sequence[str] | None
     except ExternalShutdownException:
         pass
     except ThinshellError as error:
-        code = told(error)
+        code = report_error(error)
     finally:
         if node is not None:
             node.destroy_node()

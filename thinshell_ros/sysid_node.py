@@ -1,5 +1,5 @@
 """``sysid_node``: fits a rig to recordings, diagnoses what it leaves out, plans experiments, optimises motions, and
-tells how far it is.
+reports how far it is.
 
 The jobs are those of ``thinshell fit``, ``diagnose``, ``plan`` and ``optimise``, in a process of their own; here are
 only services, parameters and what is published; :mod:`thinshell_ros.job_actions` has the same as actions. Parameters
@@ -102,7 +102,7 @@ class SysidNode(Node):
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self._actions = JobActions(self, self._jobs, self.begin)
         self.create_timer(0.05, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._tell()
+        self._publish_state()
         self.get_logger().info(f"Ready to fit {self._rig.name}.")
 
     def _check(self, changed: list[Parameter]) -> SetParametersResult:
@@ -144,7 +144,7 @@ class SysidNode(Node):
         self._shown = None
         self._estimate.publish(messages.named_numbers(self._jobs.state.estimate()))
         self.get_logger().info(f"{job_id} begins.")
-        self._tell()
+        self._publish_state()
         return job_id
 
     def _on_start(self, kind: str, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -192,13 +192,13 @@ class SysidNode(Node):
         elif state.state == "succeeded":
             self.get_logger().info(f"{state.job_id} succeeded: {state.doing}")
         if events or state.state != "running" or time.monotonic() - self._reported_s > 1.0:
-            self._tell()
+            self._publish_state()
 
-    def _tell(self) -> None:
+    def _publish_state(self) -> None:
         self._reported_s = time.monotonic()
         report = self._jobs.state.report(self._jobs.elapsed_s)
         self._status.publish(messages.status(self.get_fully_qualified_name(), self._rig.name, report))
-        self._actions.tell()
+        self._actions.publish()
 
     def destroy_node(self) -> None:
         """End the job, then the node."""

@@ -8,11 +8,12 @@ for at once (``workers``), not on who makes them.
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sim_core.errors import ConfigError, WorkerError
 from sim_core.optimise.evaluators import Request, answer
@@ -110,14 +111,26 @@ def cluster_evaluator(
                 'A script of your own must do its work under if __name__ == "__main__", in a file.',
             ) from None
     try:
-        with distributed.Client(local or address, timeout=WAIT_S, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=WAIT_S)
+        with _connected(local or address) as client:
             yield ClusterEvaluator(client, made, workers, coarse, size)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"The scheduler {address!r} cannot be used: {error}.",
-            "Write tcp://HOST:PORT of one that runs ('dask scheduler') and has workers ('dask worker'), or 'local'.",
-        ) from None
     finally:
         if local is not None:
             local.close()
+
+
+def _connected(cluster: Any) -> Client:
+    """A client of a scheduler, of which the first worker is there. Raises ``ConfigError`` where that is not so."""
+    from distributed import Client
+
+    client = None
+    try:
+        client = Client(cluster, timeout=WAIT_S, set_as_default=False)
+        client.wait_for_workers(1, timeout=WAIT_S)
+    except (OSError, ValueError, asyncio.TimeoutError) as error:  # in Python 3.10 the last is none of the first
+        if client is not None:
+            client.close()
+        raise ConfigError(
+            f"The scheduler {cluster!r} cannot be used: {str(error) or type(error).__name__}.",
+            "Write tcp://HOST:PORT of one that runs ('dask scheduler') and has workers ('dask worker'), or 'local'.",
+        ) from None
+    return client

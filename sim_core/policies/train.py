@@ -43,7 +43,7 @@ NETWORK = [64, 64]
 """Sizes of the hidden layers of all networks."""
 
 ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
-    "ppo": (PPO, {"gae_lambda": 0.95, "n_epochs": 10, "ent_coef": 0.0, "learning_rate": 1e-3}),
+    "ppo": (PPO, {"learning_rate": 1e-3}),
     "sac": (
         SAC,
         {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.01", "learning_rate": 1e-3},
@@ -247,16 +247,17 @@ def _opened(training: Training, folder: Path) -> Progress:
             lines = log.read_text(encoding="utf-8").splitlines(keepends=True)[: progress.lines]
             log.write_text("".join(lines), encoding="utf-8")
     except (OSError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
         raise ConfigError(f"The folder {folder} cannot be used: {error}.", "Name another one.") from None
     return progress
 
 
 def read_progress(folder: Path) -> Progress:
-    """How far a training is."""
+    """How far a training is. Raises ``ConfigError`` for a file that does not say it."""
     path = folder / PROGRESS
-    return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
+    try:
+        return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path} does not say how far the training is: {error}.", "Name another folder.") from None
 
 
 def read_training(folder: Path) -> Training:

@@ -153,19 +153,19 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         entries = self._entries(self._decision)
         asked = np.clip(self._around[entries] + self._reach * decision, -1.0, 1.0)
         turns = np.isin(self.rollouts.space.components[entries], (3, 4, 5))
-        fits = [self._largest_share(entries[chosen], asked[chosen]) for chosen in (turns, ~turns)]
-        if not all(fits):
-            self.action_so_far[entries] = 0.0
+        for chosen in (turns, ~turns):
+            self._take_largest_share(entries[chosen], asked[chosen])
 
-    def _largest_share(self, entries: np.ndarray, asked: np.ndarray) -> bool:
-        """Take the largest share of what is asked that is within the limits of the hands. Gives whether one is."""
+    def _take_largest_share(self, entries: np.ndarray, asked: np.ndarray) -> None:
+        """Take the largest share of what is asked that is within the limits of the hands: none of it always is, since
+        they could come to rest after the decision before."""
         if self._taken(entries, asked):
-            return True
+            return
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self._taken(entries, middle * asked) else (low, middle)
-        return self._taken(entries, low * asked)
+        self._taken(entries, low * asked)
 
     def _taken(self, entries: np.ndarray, values: np.ndarray) -> bool:
         """Take values into the action so far. Gives whether it is within the limits of the hands."""

@@ -111,11 +111,11 @@ def test(
     policy = load_policy(folder)
     with progress(f"policy {folder.name}") as report:
 
-        def tell(done: int) -> None:
+        def on_trial(done: int) -> None:
             report(done / materials, f"{done} of {materials}")
 
         path = folder / TRIALS.format(read_progress(folder).rounds)
-        found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=tell)
+        found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=on_trial)
     _print_share("policy", [not t.learnt for t in found], [t.learnt_reward for t in found])
     if policy.training.around is not None:
         _print_share("replay", [not t.replayed for t in found], [t.replayed_reward for t in found])

@@ -30,7 +30,7 @@ class ParallelPredictor:
     """As :class:`sysid.model.predictor.SerialPredictor`, on ``workers`` threads, each with scenes of its own. Use as a
     context manager; when it is left, what runs is asked to end.
 
-    ``on_done``: called on such a thread after each prediction, made or failed; ``costs``: hears of each rollout.
+    ``on_done``: called on such a thread after each prediction, made or failed; ``costs``: measures each rollout.
     """
 
     def __init__(
@@ -141,5 +141,5 @@ class ParallelPredictor:
 
 
 def _kind(rig: Rig, refine: int, dt: float | None, derivatives: bool = False) -> Kind:
-    """The kind of a rollout, by which its cost is recorded."""
+    """The kind of a rollout, by which its cost is measured."""
     return Kind(derivatives=derivatives, finer=refine > 1, shorter=dt is not None and dt < rig.solver.dt_s)

@@ -1,4 +1,4 @@
-"""How far work is and how long it takes: what every long command tells, and where it is shown."""
+"""How far work is and how long it takes: what every long command reports, and where it is shown."""
 
 from sysid.progress.callback import Progress, TimedProgress, silent
 from sysid.progress.interrupts import interrupts_remembered, interrupts_reported

@@ -1,4 +1,4 @@
-"""What work tells of itself while it runs."""
+"""What work reports while it runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ is being done."""
 
 @runtime_checkable
 class TimedProgress(Protocol):
-    """Progress that can be told the time left as well, by work that knows it better than from its share."""
+    """Progress that takes the time left as well, from work that estimates it better than its share does."""
 
     def time_left(self, seconds: float) -> None:
         """So much time [s] is left from now on, about."""

@@ -45,17 +45,31 @@ def kind_of(words: str) -> Kind:
 @dataclass
 class Running:
     """A rollout that runs. ``since``, ``spent`` [s]: processor time of its thread when it began, and since then;
-    ``share``: of its steps that are made, 0 to 1."""
+    ``share``: of its steps that are made, 0 to 1; ``first``: both after its first step."""
 
     kind: Kind
     since: float
     spent: float = 0.0
     share: float = 0.0
+    first: tuple[float, float] | None = None
+
+    def stepped(self, spent: float, share: float) -> None:
+        """A step was made."""
+        self.spent, self.share = spent, share
+        self.first = self.first or (spent, share)
+
+    def seconds(self) -> float | None:
+        """What all of it takes [s], by its steps after the first one, before which its scene is built. None before the
+        second one."""
+        if self.first is None or self.share <= self.first[1]:
+            return None
+        spent, share = self.first
+        return spent + (self.spent - spent) * (1.0 - share) / (self.share - share)
 
 
 class RolloutCosts:
     """Rollouts of a command that ran and that run, and the processor time that they took: other work on the machine
-    does not change it. Each rollout is told of on the thread that makes it.
+    does not change it. Each rollout is measured on the thread that makes it.
 
     ``on_news``: called where there is something new, on that thread. ``clock``: processor time [s] of a thread.
     """
@@ -76,8 +90,8 @@ class RolloutCosts:
             self._running.append(here)
 
         def on_step(done: int, total: int) -> None:
-            here.spent, here.share = self._clock() - here.since, done / max(total, 1)
-            self._tell()
+            here.stepped(self._clock() - here.since, done / max(total, 1))
+            self._notify()
 
         try:
             yield on_step
@@ -85,9 +99,9 @@ class RolloutCosts:
             with self._lock:
                 self._running.remove(here)
                 self._took.setdefault(kind, []).append(self._clock() - here.since)
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if self._on_news is not None:
             self._on_news()
 
@@ -102,12 +116,11 @@ class RolloutCosts:
             return sum(map(sum, self._took.values())) + sum(r.spent for r in self._running)
 
     def seconds(self, kind: Kind) -> float | None:
-        """What a rollout of a kind takes [s]: the mean of the last ones of its kind, where none has been made from
-        one that runs or from other kinds; None where nothing is known yet."""
+        """What a rollout of a kind takes [s]: the mean over the later half of those of its kind, where none has been
+        made from one that runs or from other kinds; None where nothing is known yet."""
         with self._lock:
-            late = {k: t[-PROGRESS.recent_rollouts :] for k, t in self._took.items()}
-            far = [r for r in self._running if r.share >= PROGRESS.least_rollout_share]
-            running = {r.kind: r.spent / r.share for r in far}
+            late = {k: t[len(t) // 2 :] for k, t in self._took.items()}
+            running = {r.kind: s for r in self._running if (s := r.seconds()) is not None}
         known = running | {k: sum(t) / len(t) for k, t in late.items()}
         if kind in known or not known:
             return known.get(kind)

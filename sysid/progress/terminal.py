@@ -46,7 +46,7 @@ def progress(title: str) -> Iterator[TimedProgress]:
 
 @contextmanager
 def _compiling(say: Callable[[str], None]) -> Iterator[None]:
-    """Within the block ``say`` is told what is compiled."""
+    """Within the block ``say`` is called with what is compiled."""
     on_compiling.append(say)
     try:
         yield
@@ -76,7 +76,7 @@ class _Bar:
 
     def time_left(self, seconds: float) -> None:
         """So much time [s] is left."""
-        self._left.told(time.monotonic() - self._started, seconds)
+        self._left.set_estimate(time.monotonic() - self._started, seconds)
 
 
 @contextmanager
@@ -135,7 +135,7 @@ class Lines:
     def time_left(self, seconds: float) -> None:
         """So much time [s] is left."""
         with self._lock:
-            self._left.told(self._clock() - self._started, seconds)
+            self._left.set_estimate(self._clock() - self._started, seconds)
 
     def still(self) -> None:
         """Nothing was reported; a line where the last one is long ago."""

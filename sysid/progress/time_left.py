@@ -12,16 +12,16 @@ class TimeLeft:
 
     def __init__(self) -> None:
         self._done = [(0.0, 0.0)]
-        self._told: tuple[float, float] | None = None
+        self._estimate: tuple[float, float] | None = None
 
     def update(self, now: float, share: float) -> None:
         """So much is done."""
         if share > self._done[-1][1]:
             self._done.append((now, share))
 
-    def told(self, now: float, seconds: float) -> None:
-        """The work itself says how long [s] it goes on."""
-        self._told = (now, seconds)
+    def set_estimate(self, now: float, seconds: float) -> None:
+        """Estimate by the work itself of how long [s] it goes on."""
+        self._estimate = (now, seconds)
 
     def seconds(self, now: float) -> float | None:
         """Time left [s]; None where nothing is known of it yet, or all is done.
@@ -32,8 +32,8 @@ class TimeLeft:
         at, share = self._done[-1]
         if share >= 1.0:
             return None
-        if self._told is not None:
-            at, left = self._told
+        if self._estimate is not None:
+            at, left = self._estimate
         elif share > 0.0 and at >= PROGRESS.least_time_s:
             late = [next(d for d in reversed(self._done) if d[k] <= 0.5 * self._done[-1][k]) for k in (0, 1)]
             rates = [(1.0 - share) * (at - t) / (share - s) for t, s in ((0.0, 0.0), *late)]

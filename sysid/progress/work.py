@@ -49,21 +49,21 @@ def stages_of(rollouts: Mapping[str, Mapping[str, float]], between_s: Mapping[st
 
 
 class Work:
-    """Tells how far the work of some stages is, to ``tell``. ``recordings``: how many it is about.
+    """Reports how far the work of some stages is, to ``report``. ``recordings``: how many it is about.
 
-    Stages are entered in their order; some may be left out. ``costs``: to be told of rollouts.
+    Stages are entered in their order; some may be left out. ``costs``: measures rollouts.
     """
 
     def __init__(
         self,
-        tell: Progress | None,
+        report: Progress | None,
         stages: Sequence[Stage],
         recordings: int,
         *,
         clock: Callable[[], float] = time.monotonic,
         processor: Callable[[], float] = time.process_time,
     ) -> None:
-        self._tell, self._stages, self._recordings = tell or silent, list(stages), recordings
+        self._report, self._stages, self._recordings = report or silent, list(stages), recordings
         self._clock, self._processor = clock, processor
         self._started, self._spent = clock(), processor()
         self._course = [(self._started, self._spent)]
@@ -92,7 +92,7 @@ class Work:
     def done(self) -> None:
         """All of it is done."""
         with self._lock:
-            self._tell(1.0, "done")
+            self._report(1.0, "done")
 
     def remaining(self) -> float | None:
         """Time left [s], None where no rollout has shown what it costs."""
@@ -135,9 +135,9 @@ class Work:
         if left is not None:
             passed = now - self._started
             self._share = max(self._share, min(passed / max(passed + left, 1e-9), PROGRESS.most_share))
-            if isinstance(self._tell, TimedProgress):
-                self._tell.time_left(left)
-        self._tell(self._share, self._text)
+            if isinstance(self._report, TimedProgress):
+                self._report.time_left(left)
+        self._report(self._share, self._text)
 
 
 def work_of(
@@ -146,10 +146,10 @@ def work_of(
     between_s: Mapping[str, float],
     recordings: int,
 ) -> Work:
-    """The work that is going on, or new work of some stages (:func:`stages_of`) that tells ``progress``."""
+    """The work that is going on, or new work of some stages (:func:`stages_of`) that reports to ``progress``."""
     return progress if isinstance(progress, Work) else Work(progress, stages_of(rollouts, between_s), recordings)
 
 
 def _left(expected: float, done: float) -> float:
     """What is left of what a stage is expected to need: some, while it goes on."""
-    return max(expected - done, PROGRESS.least_left_share * expected)
+    return max(expected - done, PROGRESS.overdue_share * expected)

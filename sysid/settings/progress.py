@@ -12,39 +12,46 @@ from sim_core.settings import setting
 class ProgressSettings:
     """Settings of what is said of the time that is left. They change no result."""
 
-    silence_s: float = setting(9.0, "s", "A line comes after so long without one.", "judgement")
-    least_time_s: float = setting(1.0, "s", "Time after which shares that are done tell the time left.", "judgement")
+    silence_s: float = setting(
+        9.0,
+        "s",
+        "A line comes after so long without one: before the 10 s for which a user's attention lasts (Nielsen 1993).",
+        "convention",
+    )
+    least_time_s: float = setting(
+        1.0,
+        "s",
+        "Time after which shares that are done give the time left: what is shorter does not interrupt a user's thought "
+        "(Nielsen 1993).",
+        "convention",
+    )
+    least_pause_s: float = setting(0.5, "s", "Rollouts that run are reported no more often.", "cost")
+    most_share: float = setting(
+        0.99, "1", "Share that is done at most, until all is: the last whole percentage before 100.", "convention"
+    )
     overdue_share: float = setting(
         0.1,
         "1",
-        "Share of the time left last told that is left at least, until more is told.",
+        "Share of an estimate, of the time left or of the rollouts of a stage, that is left at least until it is over.",
         "judgement",
     )
-    least_pause_s: float = setting(0.5, "s", "Rollouts that run are told of no more often.", "cost")
-    most_share: float = setting(0.99, "1", "Share that is done at most, until all is.", "judgement")
 
-    # costs of rollouts
-    recent_rollouts: int = setting(8, "1", "Rollouts of a kind, the last ones, whose mean cost counts.", "judgement")
-    least_rollout_share: float = setting(
-        0.02, "1", "Share of the steps of a rollout from which its cost is told from them.", "judgement"
-    )
+    # costs of rollouts before one of the kind has run: geometric means over three rigs
+    # (tests/support/costs_of_rollouts.py)
     finer_cost_ratio: float = setting(
-        4.0, "1", "Cost of a rollout on cells half as large over that on the rig's, before one has run.", "judgement"
+        7.0, "1", "Cost of a rollout on cells half as large over that on the rig's, over three rigs.", "measured"
     )
     shorter_cost_ratio: float = setting(
-        2.0, "1", "Cost of a rollout with shorter steps over that with the rig's, before one has run.", "judgement"
+        1.7, "1", "Cost of a rollout with shorter steps over that with the rig's, over three rigs.", "measured"
     )
     derivatives_cost_ratio: float = setting(
-        1.5, "1", "Cost of a rollout with derivatives over a plain one, before one has run.", "judgement"
+        1.8, "1", "Cost of a rollout with derivatives over a plain one, over three rigs.", "measured"
     )
     responses_cost_ratio: float = setting(
-        6.0, "1", "Cost of a rollout with responses to all effects over a plain one, before one has run.", "judgement"
+        28.0, "1", "Cost of a rollout with responses to all effects over a plain one, over two rigs.", "measured"
     )
     beginning_cost_ratio: float = setting(
-        0.3, "1", "Cost of a rollout of the beginning of a recording over a whole one, before one has run.", "judgement"
-    )
-    least_left_share: float = setting(
-        0.15, "1", "Share of the rollouts of a stage that is left at least while it goes on.", "judgement"
+        0.4, "1", "Cost of a rollout of the beginning of a recording over a whole one, over three rigs.", "measured"
     )
 
     # stages

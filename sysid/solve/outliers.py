@@ -228,7 +228,7 @@ def _alike(far: Mask, away: np.ndarray, there: Mask, place: np.ndarray) -> tuple
 
 def _lone(miss: np.ndarray, there: Mask, place: np.ndarray, sigma: float, frames: np.ndarray) -> Mask:
     """Readings of some ``frames`` ``(n,)`` whose miss ``(n, m, d)`` is far from the median of those of the
-    ``SOLVE.outlier_neighbours`` nearest markers, in units of how far the misses of the frame usually are from that."""
+    ``SOLVE.outlier_neighbours`` nearest markers, relative to how far the misses of the frame usually are from that."""
     out = np.zeros(there.shape, dtype=bool)
     for k in np.flatnonzero(frames):
         seen = np.flatnonzero(there[k])

@@ -122,3 +122,26 @@ def test_ctrl_c_is_not_lost_where_it_cannot_be_answered(monkeypatch: pytest.Monk
     finally:
         signal.signal(signal.SIGINT, before)
     assert pressed.is_set()
+
+
+def test_ctrl_c_pressed_again_while_results_are_written_does_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    """The third time it ends the command."""
+
+    def press() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
+    try:
+        with interrupts_reported("Interrupted."):
+            with pytest.raises(KeyboardInterrupt):
+                press()
+            try:
+                press()
+            except KeyboardInterrupt:
+                pytest.fail("the second one does what the first one did")
+            with pytest.raises(KeyboardInterrupt):
+                press()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capfd.readouterr().err.count("Interrupted.") == 3

@@ -68,9 +68,16 @@ def test_what_the_work_itself_says_counts_more_than_its_shares() -> None:
     clock = TimeLeft()
     clock.update(10.0, 0.5)
     assert clock.seconds(10.0) == pytest.approx(10.0)
-    clock.told(10.0, 100.0)
+    clock.set_estimate(10.0, 100.0)
     assert clock.seconds(15.0) == pytest.approx(95.0)
     assert clock.seconds(500.0) == pytest.approx(100.0 * PROGRESS.overdue_share)  # not over, though overdue
+
+
+def test_time_left_is_the_geometric_mean_over_all_of_the_time_and_its_later_halves() -> None:
+    clock = TimeLeft()
+    clock.update(10.0, 0.5)
+    clock.update(30.0, 0.75)
+    assert clock.seconds(30.0) == pytest.approx((10.0 * 20.0 * 10.0) ** (1.0 / 3.0))  # of all, of the time, of the work
 
 
 @pytest.mark.parametrize(
@@ -110,7 +117,7 @@ class Clocks:
 
 
 class Heard:
-    """Progress that keeps what it is told."""
+    """Progress that keeps what is reported to it."""
 
     def __init__(self) -> None:
         self.left: list[float] = []
@@ -184,12 +191,110 @@ def test_what_goes_on_for_longer_than_expected_is_not_over_and_shares_never_fall
     for _ in range(20):
         make(work, clocks, Kind(derivatives=True), 5.0)
     left = work.remaining()
-    assert left is not None and left >= PROGRESS.least_left_share * 4 * 5.0
+    assert left is not None and left >= PROGRESS.overdue_share * 4 * 5.0
     assert heard.shares == sorted(heard.shares) and heard.shares[-1] <= PROGRESS.most_share
     work.enter("first")
     assert heard.shares == sorted(heard.shares)
     work.done()
     assert heard.shares[-1] == 1.0
+
+
+def test_a_hundred_percent_is_said_at_the_end_alone() -> None:
+    clocks = Clocks()
+    heard = Heard()
+    work = Work(heard, [Stage("only", {Kind(): 1.0})], 1, clock=clocks.wall, processor=clocks.spent)
+    work.costs = RolloutCosts(work._news, clocks.spent)
+    work.enter("only")
+    for _ in range(200):
+        make(work, clocks, Kind(), 1.0)
+    assert heard.shares[-1] == PROGRESS.most_share
+    work.done()
+    assert heard.shares[-1] == 1.0
+
+
+def test_news_of_rollouts_is_said_no_more_often_than_anybody_reads() -> None:
+    clocks = Clocks()
+    work, heard = work_on(clocks)
+    work.enter("first")
+    make(work, clocks, Kind(), 10.0 * PROGRESS.least_pause_s, steps=1000)
+    assert len(heard.shares) <= 12
+
+
+def test_what_a_stage_needs_may_become_known_in_it() -> None:
+    clocks = Clocks()
+    work, _ = work_on(clocks)
+    work.enter("second")
+    make(work, clocks, Kind(derivatives=True), 2.0)
+    work.say("more of them", {Kind(derivatives=True): 11.0})
+    assert work.remaining() == pytest.approx(10 * 2.0 + 10.0)
+    work.say("and on")
+    assert work.remaining() == pytest.approx(10 * 2.0 + 10.0)
+
+
+def test_a_machine_that_becomes_busy_is_noticed() -> None:
+    clocks = Clocks()
+    wall = [0.0]
+    work = Work(Heard(), [Stage("only", {Kind(): 20.0})], 1, clock=lambda: wall[0], processor=clocks.spent)
+    work.costs = RolloutCosts(work._news, clocks.spent)
+    work.enter("only")
+    for pace in (1.0,) * 5 + (4.0,) * 5:
+        with work.costs.rollout(Kind()) as on_step:
+            clocks.processor += 1.0
+            wall[0] += pace
+            on_step(1, 1)
+    assert work.remaining() == pytest.approx(4.0 * 10.0)
+
+
+def test_processor_time_of_a_rollout_that_runs_is_not_taken_for_that_between_rollouts() -> None:
+    clocks = Clocks()
+    work, _ = work_on(clocks)
+    work.enter("second")
+    with work.costs.rollout(Kind(derivatives=True)) as on_step:
+        for k in range(5):
+            clocks.processor += 1.0
+            on_step(k + 1, 10)
+        assert work.remaining() == pytest.approx(3.5 * 10.0 + 10.0)
+
+
+def test_what_is_done_before_the_first_step_counts_once() -> None:
+    """A scene is built in it: 6 s, then 1 s a step."""
+    clocks = Clocks()
+    costs = RolloutCosts(clock=clocks.spent)
+    with costs.rollout(Kind()) as on_step:
+        clocks.processor += 6.0
+        on_step(1, 10)
+        assert costs.seconds(Kind()) is None
+        clocks.processor += 1.0
+        on_step(2, 10)
+        assert costs.seconds(Kind()) == pytest.approx(15.0)
+
+
+def test_what_later_rollouts_cost_counts_and_one_that_fails_has_ended() -> None:
+    clocks = Clocks()
+    costs = RolloutCosts(clock=clocks.spent)
+    for seconds in (1.0, 1.0, 3.0, 5.0):
+        with costs.rollout(Kind()):
+            clocks.processor += seconds
+    assert costs.seconds(Kind()) == pytest.approx(4.0)
+    with pytest.raises(ValueError, match="far"), costs.rollout(Kind()) as on_step:
+        on_step(1, 2)
+        raise ValueError("far")
+    assert costs.count(Kind()) == 5.0
+
+
+def test_kinds_that_have_not_run_cost_what_their_parts_were_measured_to() -> None:
+    clocks = Clocks()
+    costs = RolloutCosts(clock=clocks.spent)
+    with costs.rollout(Kind()):
+        clocks.processor += 2.0
+    for words, ratio in (
+        ("finer", PROGRESS.finer_cost_ratio),
+        ("beginning", PROGRESS.beginning_cost_ratio),
+        ("responses derivatives", PROGRESS.responses_cost_ratio),
+        ("shorter derivatives", PROGRESS.shorter_cost_ratio * PROGRESS.derivatives_cost_ratio),
+    ):
+        assert costs.seconds(kind_of(words)) == pytest.approx(2.0 * ratio)
+        assert ratio != 1.0
 
 
 def test_other_progress_hears_shares_alone() -> None:

@@ -46,7 +46,10 @@ def group(leader: int) -> list[int]:
 
 
 class NodeProcess:
-    """A node started as a user would, with its output in a file. ``module``: of thinshell_ros, or a script."""
+    """A node started as a user would, with its output in a file. ``module``: of thinshell_ros, or a script.
+
+    As a context manager: it must end with code 0 when it is interrupted at the end, and say no traceback.
+    """
 
     def __init__(
         self,
@@ -66,6 +69,17 @@ class NodeProcess:
             command += ["-p", f"{name}:={value}"]
         with log.open("w") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        try:
+            if error is None:
+                assert self.stop() == 0, self.output
+                assert "Traceback" not in self.output, self.output
+        finally:
+            self.kill()
 
     @property
     def output(self) -> str:

@@ -55,6 +55,27 @@ def test_every_rig_has_a_layout_with_every_panel_in_it(name: str) -> None:
     assert all(path.startswith(("/left/", "/diagnostics")) for path in paths_of(made))
 
 
+def shares(shown: Any, height: float = 100.0) -> list[float]:
+    """Heights [%] of the panels of a column."""
+    if isinstance(shown, str):
+        return [height]
+    assert shown["direction"] == "column"
+    first = height * shown["splitPercentage"] / 100.0
+    return shares(shown["first"], first) + shares(shown["second"], height - first)
+
+
+def test_panels_say_what_they_show_and_are_as_high() -> None:
+    rig = load_rig(RIG)
+    made = foxglove.layout(rig, "/left")
+    assert made["configById"]["3D!scene"]["followTf"] == "base_link"
+    wrench = next(name for name, channel in channels_of(rig, 100.0).items() if channel.kind == "wrench")
+    plot = made["configById"][f"Plot!{wrench}"]
+    assert plot["title"].endswith("force [N]")
+    assert [p["value"].partition(".")[2] for p in plot["paths"]] == [f"wrench.force.{axis}" for axis in "xyz"]
+    high = shares(made["layout"]["second"])
+    assert len(high) > 2 and high == pytest.approx([100.0 / len(high)] * len(high))
+
+
 def test_the_command_prints_a_layout_or_says_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
     assert foxglove.main([str(RIG), "/left"]) == 0
     assert json.loads(capsys.readouterr().out) == foxglove.layout(load_rig(RIG), "/left")
@@ -65,18 +86,16 @@ def test_the_command_prints_a_layout_or_says_what_is_wrong(capsys: pytest.Captur
 @pytest.fixture(scope="module")
 def shown(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a simulator that publishes all that it can, and runs."""
-    node = NodeProcess(
+    with NodeProcess(
         "sim_node", tmp_path_factory.mktemp("shown") / "output", PLACE, rig=RIG, mesh_rate_hz="10.0",
         contact_forces="true", pictures="true", noise="false",
-    )  # fmt: skip
-    client = Client("viewer", PLACE)
-    try:
-        client.wait(lambda: "Simulating" in node.output, "the simulator does not start", 240.0)
-        yield client
-        assert node.stop() == 0, node.output
-    finally:
-        client.node.destroy_node()
-        node.kill()
+    ) as node:  # fmt: skip
+        client = Client("viewer", PLACE)
+        try:
+            client.wait(lambda: "Simulating" in node.output, "the simulator does not start", 240.0)
+            yield client
+        finally:
+            client.node.destroy_node()
 
 
 @pytest.mark.ros

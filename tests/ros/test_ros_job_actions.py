@@ -74,13 +74,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def node(ros: None, folder: Path) -> Iterator[NodeProcess]:
     pytest.importorskip("thinshell_interfaces.action", reason="thinshell_interfaces is not built")
-    node = NodeProcess("sysid_node", folder / "output", rig=RIG, output_dir=folder / "out", **{"fit.nuisance": "none"})
-    try:
+    given = {"output_dir": folder / "out", "fit.nuisance": "none"}
+    with NodeProcess("sysid_node", folder / "output", rig=RIG, **given) as node:
         yield node
-        assert node.stop() == 0, node.output
-        assert "Traceback" not in node.output, node.output
-    finally:
-        node.kill()
 
 
 @pytest.fixture
@@ -107,8 +103,8 @@ def test_a_fit_tells_how_far_it_is_and_what_it_found(client: Client, folder: Pat
     assert json.loads(result.json)["output_dir"] == result.output_dir
     shares = [said.share for said in goal.feedback]
     assert shares == sorted(shares) and shares[-1] == 1.0
-    told = [said for said in goal.feedback if said.evaluations]
-    assert told and list(told[-1].names) == ["strip.E_pa"]
+    evaluated = [said for said in goal.feedback if said.evaluations]
+    assert evaluated and list(evaluated[-1].names) == ["strip.E_pa"]
 
 
 def test_a_fit_is_cancelled_and_goes_on_where_it_was(client: Client, node: NodeProcess, folder: Path) -> None:

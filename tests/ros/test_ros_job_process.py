@@ -152,7 +152,7 @@ def node_without_middleware(asked: FitRequest) -> tuple[Any, dict[str, list[Any]
             self._rig, self._reported_s, self._shown = RIG, 0.0, None
             self._jobs = Jobs(self._heard)
             self._jobs.request, self._jobs.state = asked, JobState("fit_7", "running", "reading", 200)
-            self._actions: Any = SimpleNamespace(tell=lambda: None)
+            self._actions: Any = SimpleNamespace(publish=lambda: None)
             for topic, messages in published.items():
                 setattr(self, topic, SimpleNamespace(publish=messages.append))
 

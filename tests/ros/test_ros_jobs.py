@@ -15,12 +15,14 @@ from typing import Any
 import pytest
 from small_task import small_task
 from test_ros_fit_request import request_of
+from test_ros_job_process import FIT, until
 
 pytest.importorskip("rclpy", reason="thinshell_ros needs the ROS message packages")
 
 from sim_core.errors import ConfigError
 from sim_core.optimise import Settings
 from sim_core.rigs import list_parameters, load_rig
+from sim_core.rigs.schema import Known
 from sysid.fit.multistart import Step
 from sysid.workflow.optimise import optimise_task
 from thinshell_ros import jobs as jobs_module
@@ -49,12 +51,6 @@ def empty_goal(kind: str, **given: Any) -> SimpleNamespace:
     return SimpleNamespace(**{name: plain[word] for name, word in parts(kind)[0].items()} | given)
 
 
-FITTED = {
-    "rig": "pull", "correlation": [[1.0]], "misfit": 1.1, "converged": True, "no_success": "", "unexplained": [],
-    "undetermined": [], "identifiability": [], "remarks": [], "cautions": [], "notes": [],
-    "provenance": {"bags": [], "versions": {}},
-    "estimates": [{"name": "strip.E_pa", "value": 4e9, "sd": 0.01, "log": True, "ci95": [3.9e9, 4.1e9], "unit": "Pa"}],
-}  # fmt: skip
 DIAGNOSED = {
     "rig": "pull", "verdict": "named", "sentence": "It slips.", "explained": True, "not_explained": [],
     "effects": [{"name": "static_friction", "probability": None}], "next_experiment": "", "amended_parameters": [],
@@ -81,7 +77,7 @@ def requests(folder: Path) -> dict[str, tuple[Any, dict[str, Any]]]:
     fit = request_of(RIG, folder)
     out = folder / "fits" / "job_7"
     return {
-        "fit": (fit, FITTED),
+        "fit": (fit, FIT),
         "diagnose": (DiagnosisRequest(RIG, fit.bags, (), out), DIAGNOSED),
         "plan": (PlanRequest(RIG, (), ("strip.E_pa",), frozenset(), out), PLANNED),
         "optimise": (OptimiseRequest("small", None, Settings(), out), OPTIMISED),
@@ -105,6 +101,57 @@ def test_actions_have_the_fields_that_the_node_fills(kind: str, tmp_path: Path) 
     failed = JobState("job_7", "running")
     failed.take(Failed("It could not."), request)
     assert result_fields(kind, failed) == {"job_id": "job_7", "sentence": "It could not."}
+
+
+def test_results_of_actions_carry_what_was_found(tmp_path: Path) -> None:
+    filled = {}
+    for kind, (request, found) in requests(tmp_path).items():
+        state = JobState("job_7", "running", kind=request.kind)
+        state.take(Succeeded(found), request)
+        filled[kind] = result_fields(kind, state)
+    fit, diagnosis, plan = filled["fit"], filled["diagnose"], filled["plan"]
+    assert (fit["names"], fit["estimate"], fit["std"]) == (["strip.E_pa"], [4e9], [0.01 * 4e9])
+    assert diagnosis["effects"] == ["static_friction"] and math.isnan(diagnosis["probability"][0])
+    assert diagnosis["amended_rig"] == f"{tmp_path / 'fits' / 'job_7'}/amended_rig.yaml"
+    assert (plan["lower"], plan["upper"], plan["determined"]) == ([3e9], [5e9], [True])
+    assert (filled["optimise"]["reward"], filled["optimise"]["success"]) == (0.125, True)
+
+
+@pytest.mark.parametrize("kind", ["plan", "optimisation"])
+def test_the_process_of_a_job_plans_and_searches(kind: str, tmp_path: Path) -> None:
+    """It writes what the node then publishes."""
+    request: Any
+    if kind == "plan":
+        values = {
+            "plan.experiments": [PULL],
+            "fit.parameters": ["strip.E"],
+            "fit.nuisance": "none",
+            "output_dir": str(tmp_path),
+        }
+        request = plan_request(RIG, values, "job_7")
+    else:
+        small_task(tmp_path)
+        request = OptimiseRequest(
+            str(tmp_path / "small.yaml"), None, Settings("cem", rollouts=2, seed=1), tmp_path / "job_7"
+        )
+    jobs = Jobs(lambda events: None)
+    jobs.start(request, "job_7")
+
+    def ended() -> bool:
+        jobs.poll()
+        return not jobs.running
+
+    try:
+        until(ended)
+    finally:
+        jobs.end()
+    assert jobs.state.state == "succeeded", jobs.state.doing
+    assert (request.out / request.file).is_file()
+    if kind == "plan":
+        low, high = jobs.state.result["ci95"]["strip.E_pa"]
+        assert low < {p.name: p.value for p in list_parameters(RIG)}["strip.E_pa"] < high  # type: ignore[operator]
+    else:
+        assert jobs.state.result["rollouts"] == 2
 
 
 def test_a_goal_gives_what_is_neither_empty_nor_zero() -> None:
@@ -196,6 +243,37 @@ def test_a_fit_goes_on_at_its_best_values_with_the_evaluations_that_are_left(job
     jobs.start(request, name)
     report(jobs, Failed("The process of the job was ended by SIGKILL."))
     assert jobs.resumed(name)[0].out != request.out
+
+
+def test_a_fit_does_not_go_on_from_values_that_the_rig_knows(jobs: Jobs, tmp_path: Path) -> None:
+    rig = RIG.model_copy(update={"known": {"strip.nu": Known(sd=0.05)}})
+    jobs.start(replace(request_of(RIG, tmp_path), rig=rig), "fit_7")
+    before = {p.name: p.value for p in list_parameters(rig)}
+    report(jobs, Step(20, 3.0, {"strip.E_pa": 4.2e9, "strip.nu": 0.35}))
+    jobs.cancel()
+    values = {p.name: p.value for p in list_parameters(jobs.resumed()[0].rig)}
+    assert (values["strip.E_pa"], values["strip.nu"]) == (4.2e9, before["strip.nu"])
+
+
+def test_a_search_that_goes_on_is_no_job_to_resume_and_begins_its_time_anew(jobs: Jobs, tmp_path: Path) -> None:
+    request = requests(tmp_path)["optimise"][0]
+    jobs.start(request, "optimisation_7")
+    report(jobs)
+    assert jobs.elapsed_s == 2.5
+    jobs.cancel()
+    assert jobs.knows("optimisation_7")
+    jobs.start(*jobs.resumed())
+    assert jobs.elapsed_s == 0.0 and not jobs.knows("optimisation_7")
+
+
+def test_a_node_that_ends_says_what_its_job_leaves(jobs: Jobs, tmp_path: Path) -> None:
+    assert jobs.end() == ""
+    jobs.start(request_of(RIG, tmp_path), "fit_7")
+    assert jobs.end() == "fit_7 was cancelled; nothing was written."
+    jobs.cancel()
+    request = requests(tmp_path)["optimise"][0]
+    jobs.start(request, "optimisation_7")
+    assert jobs.end() == f"optimisation_7 was cancelled; what it has tried is in {request.out}."
 
 
 def test_what_cannot_go_on_says_so(jobs: Jobs, tmp_path: Path) -> None:

@@ -104,16 +104,11 @@ def hands(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hands
     folder = tmp_path_factory.mktemp("hands")
     (folder / "rig.yaml").write_text(RIG)
     (folder / "softer.yaml").write_text(SOFTER)
-    node = NodeProcess("sim_node", folder / "output", PLACE, rig=folder / "rig.yaml", noise="false")
-    try:
+    with NodeProcess("sim_node", folder / "output", PLACE, rig=folder / "rig.yaml", noise="false") as node:
         client = Hands(node)
         client.folder = folder  # type: ignore[attr-defined]
         yield client
         client.node.destroy_node()
-        assert node.stop() == 0, node.output
-        assert "Traceback" not in node.output, node.output
-    finally:
-        node.kill()
 
 
 def test_each_hand_follows_its_own_commands_and_a_velocity_ends_by_itself(hands: Hands) -> None:

@@ -90,13 +90,8 @@ def values_of(status: Any) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def node(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
     """A node that must end with code 0 when it is interrupted, a fit of its or not, and says no traceback."""
-    node = NodeProcess("sysid_node", tmp_path_factory.mktemp("node") / "output", rig=RIG)
-    try:
+    with NodeProcess("sysid_node", tmp_path_factory.mktemp("node") / "output", rig=RIG) as node:
         yield node
-        assert node.stop() == 0, node.output
-        assert "Traceback" not in node.output, node.output
-    finally:
-        node.kill()
 
 
 @pytest.fixture

@@ -8,23 +8,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sim_core.rigs import load_rig
+from sim_core.rigs import PinholeCamera, Pose, load_rig
 from sysid.cli.app import main
 from sysid.show.rerun_export import TIMELINE, write_rrd
 from sysid.show.subject import Marks, Subject, resting, still
 
 RISE_M = 0.0004
+TURN_RAD = 0.02
+APART_PX = 3.0
 
 
 def pressed(measured: bool) -> Subject:
-    """The gel sensor carried down in three states; measured readings that lie beside the simulated ones."""
-    subject = still(load_rig("gel_sensor"))
+    """A card carried down and turned in three states over a gel whose markers lie in a turned frame; measured readings
+    that differ from the simulated ones."""
+    rig = load_rig("card_press")
+    turned = rig.sensors["gel_markers"].model_copy(update={"pose": Pose(position_m=(0, 0, 0.01), rpy_deg=(0, 0, 90))})
+    subject = still(rig.model_copy(update={"sensors": {**rig.sensors, "gel_markers": turned}}))
     layout = subject.layout
+    down, spin = np.array([0.0, 0.0, -RISE_M]), Rotation.from_rotvec([0.0, 0.0, TURN_RAD])
     frames = [
-        {n: (origin - np.array([0.0, 0.0, RISE_M * k]), turn) for n, (origin, turn) in layout.start.items()}
+        {n: (origin + k * down, spin**k * turn) if n == "finger" else (origin, turn)
+         for n, (origin, turn) in layout.start.items()}
         for k in range(3)
-    ]
+    ]  # fmt: skip
     x = np.stack([layout.carried(f) for f in frames])
     wrenches = {"force_plate": np.arange(18.0).reshape(3, 6)}
     found = replace(
@@ -39,9 +47,13 @@ def pressed(measured: bool) -> Subject:
         values = found.predicted_markers(name, steps) + [0.0, 0.0, 1e-4]
         values[1, 0] = np.nan
         markers[name] = Marks(marks.channel, marks.bodies, marks.tracked, marks.ids, values)
+    tracks = {}
+    for name, marks in found.tracks.items():
+        seen = np.stack([found.pixels(name, k) for k in steps]) + [APART_PX, 0.0]
+        tracks[name] = Marks(marks.channel, marks.bodies, marks.tracked, marks.ids, seen)
     other = {"force_plate": wrenches["force_plate"] + 0.5}
     other["force_plate"][0] = np.nan
-    return replace(found, markers=markers, measured_wrenches=other)
+    return replace(found, markers=markers, tracks=tracks, measured_wrenches=other)
 
 
 def read(path: Path) -> dict[str, list[tuple[float, dict[str, Any]]]]:
@@ -85,11 +97,33 @@ def test_bodies_hands_and_markers_are_where_they_are(path: Path) -> None:
     for hand in subject.rig.end_effectors:
         places = values_of(there[f"/world/hands/{hand}"], "translation")
         np.testing.assert_allclose(places[2].ravel() - places[0].ravel(), [0.0, 0.0, -2.0 * RISE_M], atol=1e-7)
+        turns = [Rotation.from_quat(q.ravel()) for q in values_of(there[f"/world/hands/{hand}"], "quaternion")]
+        np.testing.assert_allclose((turns[2] * turns[0].inv()).as_rotvec(), [0.0, 0.0, 2.0 * TURN_RAD], atol=1e-6)
+    assert list(subject.markers) == ["gel_markers"]
     for name in subject.markers:
         simulated = values_of(there[f"/world/markers/{name}/simulated"], "positions")
         measured = values_of(there[f"/world/markers/{name}/measured"], "positions")
         assert np.linalg.norm(measured[0] - simulated[0], axis=1) == pytest.approx(1e-4, rel=1e-2)
         assert len(measured[1]) == len(simulated[1]) - 1, "a marker that was lost is left out"
+
+
+def test_cameras_stand_where_they_look_from_and_see_what_was_tracked(path: Path) -> None:
+    subject = pressed(measured=True)
+    write_rrd(subject, path)
+    there = read(path)
+    camera = subject.rig.cameras["outside"]
+    assert isinstance(camera, PinholeCamera)
+    rows = there["/world/cameras/outside"]
+    poses = [row for row in rows if np.isfinite(row[0]) and any("translation" in n and v for n, v in row[1].items())]
+    origin, _ = subject.layout.camera_frame(camera, subject.frames[0])
+    np.testing.assert_allclose(values_of(poses, "translation")[0].ravel(), origin, atol=1e-7)
+    lens = [row for row in rows if any("image_from_camera" in n and v for n, v in row[1].items())]
+    matrix = values_of(lens, "image_from_camera")[0].ravel()
+    assert matrix[[0, 4]].tolist() == [camera.fx_px, camera.fy_px]
+    simulated, measured = (
+        values_of(there[f"/pictures/outside/{kind}"], "positions")[0] for kind in ("simulated", "measured")
+    )
+    np.testing.assert_allclose(measured - simulated, np.tile([APART_PX, 0.0], (len(simulated), 1)), atol=1e-3)
 
 
 def test_wrenches_are_there_where_they_were_measured(path: Path) -> None:

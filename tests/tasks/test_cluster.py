@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +18,10 @@ from small_task import small_task
 
 from sim_core.errors import ConfigError, WorkerError
 from sim_core.optimise import Settings, optimise
-from sim_core.optimise.cluster import ClusterEvaluator, on_worker, versions
+from sim_core.optimise.cluster import ClusterEvaluator, cluster_evaluator, on_worker, versions
 from sim_core.optimise.evaluators import Request
 from sim_core.optimise.problem import read_log
+from sim_core.rigs import with_parameters
 from sim_core.tasks import MadeTask
 
 distributed = pytest.importorskip("distributed")
@@ -99,6 +102,63 @@ def test_a_worker_with_other_versions_is_refused(tmp_path: Path) -> None:
     made = small_task(tmp_path)
     with pytest.raises(ConfigError, match=r"A worker has numpy .* in place of 0.1.*same versions"):
         on_worker(made, False, Request(np.zeros(12)), {**versions(), "numpy": "0.1"})
+
+
+def test_a_worker_makes_each_rollout_on_the_rig_that_it_is_for(tmp_path: Path) -> None:
+    made = small_task(tmp_path)
+    heavier = replace(made, rig=with_parameters(made.rig, {"card.density_kg_m3": 800.0}))
+    request = Request(np.zeros(12))
+    first, other, again = (on_worker(m, False, request, versions()).reward for m in (made, heavier, made))
+    assert first == again != other
+
+
+class Connected:
+    """Stands in for the client of a scheduler."""
+
+    def __init__(self, cluster: object, **options: object) -> None:
+        self.closed = False
+
+    def wait_for_workers(self, count: int, timeout: float) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+
+    def __enter__(self) -> Connected:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+@pytest.mark.parametrize("error", [OSError("no space left"), ConfigError("A worker has numpy 0.1.", "Install it.")])
+def test_what_fails_in_a_search_is_not_said_of_its_scheduler(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(distributed, "Client", Connected)
+    with (
+        pytest.raises(type(error), match=r"no space left|A worker has numpy 0.1") as raised,
+        cluster_evaluator("tcp://there:1", small_task(tmp_path), 1, False, 12),
+    ):
+        raise error
+    assert raised.value is error
+
+
+def test_a_scheduler_without_workers_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Connected] = []
+
+    class Alone(Connected):
+        def wait_for_workers(self, count: int, timeout: float) -> None:
+            made.append(self)
+            raise asyncio.TimeoutError
+
+    monkeypatch.setattr(distributed, "Client", Alone)
+    with (
+        pytest.raises(ConfigError, match=r"The scheduler 'tcp://there:1' cannot be used: .*TimeoutError.*dask worker"),
+        cluster_evaluator("tcp://there:1", small_task(tmp_path), 1, False, 12),
+    ):
+        pytest.fail("there is nobody to work")
+    assert made[0].closed
 
 
 def test_a_scheduler_that_is_not_there_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from sysid.cli.app import main
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from sim_core.policies.train import Training, load_policy, train  # noqa: E402
+from sim_core.policies.train import Training, load_policy, read_progress, train  # noqa: E402
 from sim_core.policies.trial import materials, read_trials, trials  # noqa: E402
 
 VARY = {"card.E_pa": (1.5e9, 2.5e9)}
@@ -98,7 +98,7 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
         (["test", "nowhere"], "nowhere has no policy"),
     ],
 )
-def test_mistakes_are_told(
+def test_mistakes_are_reported(
     arguments: list[str],
     message: str,
     tmp_path: Path,
@@ -109,3 +109,10 @@ def test_mistakes_are_told(
     assert main(["policy", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", '{"nothing": 1}'])
+def test_a_folder_that_does_not_say_how_far_its_training_is_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "progress.json").write_text(text)
+    with pytest.raises(ConfigError, match=r"progress.json does not say how far the training is"):
+        read_progress(tmp_path)

@@ -128,6 +128,8 @@ def test_mistakes_are_refused(tmp_path: Path) -> None:
         TaskEnv(str(tmp_path / "small.yaml"), 9)
     with pytest.raises(ConfigError, match=r"card.E_pa is drawn from 2 to 1, but may be"):
         small_env(tmp_path, vary={"card.E_pa": (2.0, 1.0)})
+    with pytest.raises(ConfigError, match=r"card.nu is drawn from 0.2 to 1.5, but may be"):
+        small_env(tmp_path, vary={"card.nu": (0.2, 1.5)})
     with pytest.raises(ConfigError, match=r"around has the shape \(12,\), but .* with 3 decisions has 18 numbers"):
         small_env(tmp_path, around=np.zeros(12))
 
@@ -146,6 +148,13 @@ def test_decisions_are_executed_within_the_limits_of_the_hands(tmp_path: Path) -
     np.testing.assert_array_equal(env.rollouts.space.executable(env.action_so_far), env.action_so_far)
     after = env.rollouts.space.poses(env.action_so_far)["finger"].positions[: len(before)]
     np.testing.assert_array_equal(after, before)
+
+
+def test_a_decision_reaches_as_far_about_a_motion_as_is_said(tmp_path: Path) -> None:
+    env = small_env(tmp_path, around=np.full(18, 0.01), reach=0.5)
+    env.reset(seed=0)
+    env.step(np.full(6, 0.02))
+    np.testing.assert_allclose(env.action_so_far.reshape(3, 6)[0], 0.01 + 0.5 * 0.02)
 
 
 def test_a_motion_about_which_nothing_is_decided_is_that_motion(tmp_path: Path) -> None:

@@ -23,9 +23,6 @@ from sysid.proof.truths.signal import Readings, signal
 
 NOISES = ("nasty", "white")
 
-STANDS = ("strip", "gel")
-"""Stands whose truth this package makes."""
-
 MOST_DRAWS = 10
 """Draws of a case that cannot be simulated, and of amplitudes that do not stand out, before giving up."""
 
