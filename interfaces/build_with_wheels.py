@@ -30,10 +30,15 @@ BAKED_IN = (
 
 def main() -> int:
     """Build, and say how it is used."""
-    if len(sys.argv) != 2:
-        print(__doc__, file=sys.stderr)
+    words = sys.argv[1:]
+    if len(words) != 1 or words[0].startswith("-"):
+        helped = words in (["-h"], ["--help"])
+        print(__doc__, file=sys.stdout if helped else sys.stderr)
+        return 0 if helped else 2
+    folder = Path(words[0]).absolute()
+    if folder.exists() and not folder.is_dir():
+        print(f"error: {words[0]} is a file, and a folder is wanted. Name a new folder.", file=sys.stderr)
         return 2
-    folder = Path(sys.argv[1]).absolute()
     prefix, built, install = folder / "venv", folder / "build", folder / "install"
     python = prefix / "bin" / "python"
     try:
@@ -53,11 +58,11 @@ def main() -> int:
             "CMAKE_PREFIX_PATH": prefix, "CMAKE_INSTALL_PREFIX": install, "Python3_EXECUTABLE": python,
             "BUILD_TESTING": "OFF",
         }  # fmt: skip
-        words = [f"-D{name}={value}" for name, value in settings.items()]
+        defined = [f"-D{name}={value}" for name, value in settings.items()]
         environment = {"PATH": f"{prefix / 'bin'}:/usr/local/bin:/usr/bin:/bin", "AMENT_PREFIX_PATH": str(prefix)}
         source = Path(__file__).absolute().parent
         for command in (
-            ["cmake", "-S", str(source), "-B", str(built), *words],
+            ["cmake", "-S", str(source), "-B", str(built), *defined],
             ["cmake", "--build", str(built), "--target", "install"],
         ):
             subprocess.run(command, check=True, env=environment)

@@ -8,6 +8,7 @@ In Foxglove: *Layouts*, *Import from file*; the data come from ``foxglove_bridge
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -23,6 +24,9 @@ FRAME_S = 0.05
 
 MESH_RATE_HZ = 10.0
 """Any rate: meshes are drawn where ``sim_node`` publishes them (``mesh_rate_hz``)."""
+
+NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+/?|/")
+"""Absolute, as nodes have it: topics of a layout are found by their full names."""
 
 REPLAY = "trajectory_deploy"
 """Name of the node that replays."""
@@ -93,8 +97,17 @@ def stacked(names: Sequence[str]) -> Any:
 @command
 def main(arguments: Sequence[str]) -> None:
     """Print the layout of a rig."""
-    if not 1 <= len(arguments) <= 2:
-        raise ConfigError("One rig is needed.", "Call it as: python -m thinshell_ros.foxglove RIG [NAMESPACE]")
+    if not 1 <= len(arguments) <= 2 or arguments[0].startswith("-"):
+        raise ConfigError(
+            f"A rig is needed, and a namespace may follow; {len(arguments)} are given: {' '.join(arguments)!r}.",
+            "Call it as: python -m thinshell_ros.foxglove RIG [NAMESPACE]",
+        )
+    for namespace in arguments[1:]:
+        if not NAMESPACE.fullmatch(namespace):
+            raise ConfigError(
+                f"{namespace!r} is no namespace of ROS.",
+                "Write it with a slash before each name, names of letters, digits and _, as /left.",
+            )
     print(json.dumps(layout(load_rig(arguments[0]), *arguments[1:]), indent=1))
 
 

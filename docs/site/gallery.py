@@ -18,7 +18,7 @@ import matplotlib
 import numpy as np
 from PIL import Image
 
-from sim_core.effects import Effect, all_effects
+from sim_core.effects import Effect, all_effects, effect_by_name
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig, load_rig
 from sim_core.rigs.motion import load_experiment
@@ -126,8 +126,12 @@ def unit_of(shown: Signature) -> str:
 
 def main(names: Sequence[str] = (), out: Path = OUT) -> int:
     """The pictures of some effects, or of all."""
+    try:
+        chosen = {effect.name: effect for effect in map(effect_by_name, names)} or dict(all_effects())
+    except ThinshellError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     out.mkdir(parents=True, exist_ok=True)
-    chosen = {name: effect for name, effect in all_effects().items() if not names or name in names}
     best: dict[str, Signature] = {}
     with tempfile.TemporaryDirectory() as folder:
         for rig, motion in SHOWN_ON:

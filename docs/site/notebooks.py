@@ -69,7 +69,13 @@ def executed(path: Path) -> dict[str, Any]:
 
 
 def main(paths: list[Path]) -> int:
-    """Execute and store."""
+    """Execute and store. Returns 2 for what is no notebook, before any is executed."""
+    for path in paths:
+        if not path.is_file() or path.suffix != ".ipynb":
+            known = ", ".join(sorted(p.name for p in FOLDER.glob("*.ipynb")))
+            print(f"error: {path} is no notebook. Name files that end with .ipynb, as those of {FOLDER.name}: {known}.",
+                  file=sys.stderr)  # fmt: skip
+            return 2
     for path in paths or sorted(FOLDER.glob("*.ipynb")):
         started = time.monotonic()
         path.write_text(json.dumps(executed(path), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

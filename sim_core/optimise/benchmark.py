@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from sim_core.errors import ConfigError
+from sim_core.optimise.cluster import check_cluster
 from sim_core.optimise.run import RESULT, Settings, optimise
 from sim_core.tasks.load import MadeTask, load_task
 from sim_core.tasks.rollout import TaskRollouts
@@ -71,6 +72,8 @@ def benchmark(
 ) -> list[Row]:
     """Make all runs that are not there yet, and the table. ``seconds``: wall time after which no run begins; Ctrl-C
     ends it too, with the table of what is there."""
+    if settings.cluster:
+        check_cluster(settings.cluster)
     made_tasks = {name: load_task(name) for name in tasks}
     jobs = [(name, method, seed) for seed in seeds for name in tasks for method in methods]
     (folder / RUNS).mkdir(parents=True, exist_ok=True)

@@ -9,9 +9,11 @@ for at once (``workers``), not on who makes them.
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +34,10 @@ one that ends every worker, as where their memory does not suffice, is an error.
 WAIT_S = 30.0
 """For the scheduler, and for its first worker [s]."""
 
+LAST_PORT = 65535
+
+SCHEDULER = "Write tcp://HOST:PORT of one that runs ('dask scheduler') and has workers ('dask worker'), or 'local'."
+
 PACKAGES = ("thinshell_ros", "numpy", "scipy")
 """Their versions are the same here and on all workers."""
 
@@ -47,7 +53,8 @@ class ClusterEvaluator:
         self._versions = versions()
 
     def outcomes(self, requests: Sequence[Request]) -> list[Outcome]:
-        """Of all requests, in their order. Raises ``WorkerError`` for one that ends every worker."""
+        """Of all requests, in their order. Raises ``WorkerError`` for one that ends every worker, and where the
+        scheduler is lost."""
         futures = [self._submitted(request) for request in requests]
         return [self._result(future, request) for future, request in zip(futures, requests, strict=True)]
 
@@ -56,6 +63,7 @@ class ClusterEvaluator:
 
     def _result(self, future: Future, request: Request) -> Outcome:
         from distributed import KilledWorker
+        from distributed.comm import CommClosedError
 
         for _ in range(AGAIN):
             try:
@@ -63,6 +71,11 @@ class ClusterEvaluator:
                 return found
             except KilledWorker:
                 future = self._submitted(request)
+            except (CancelledError, CommClosedError):
+                raise WorkerError(
+                    f"The scheduler was lost during a rollout of {self._made.name}.",
+                    "Start it and its workers again: the same command goes on with what was tried.",
+                ) from None
         raise WorkerError(
             f"A rollout of {self._made.name} ended every worker that made it.",
             "Usually their memory does not suffice: let each machine have fewer workers.",
@@ -86,51 +99,66 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in PACKAGES}
 
 
+def check_cluster(address: str) -> None:
+    """Whether rollouts can be asked for there, without asking. Raises ``ConfigError`` where the library is missing, and
+    for what is no address of a scheduler."""
+    try:
+        from distributed.comm import get_address_host_port
+    except ModuleNotFoundError:
+        raise ConfigError(
+            "Searches on a cluster need dask.distributed, which is missing.",
+            "Install it (pip install 'thinshell_ros[cluster]').",
+        ) from None
+    if address == LOCAL:
+        return
+    try:
+        host, port = get_address_host_port(address if "://" in address else f"tcp://{address}")
+    except ValueError as error:
+        raise ConfigError(f"The scheduler {address!r} cannot be used: {error}.", SCHEDULER) from None
+    if not host or not 1 <= port <= LAST_PORT:
+        raise ConfigError(
+            f"The scheduler {address!r} cannot be used: it has no host and port of 1 to {LAST_PORT}.", SCHEDULER
+        )
+
+
+@contextmanager
+def _quiet(logger: logging.Logger) -> Iterator[None]:
+    """Without the traceback that the library logs where a scheduler is lost, which is an error of the search."""
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
 @contextmanager
 def cluster_evaluator(
     address: str, made: MadeTask, workers: int, coarse: bool, size: int
 ) -> Iterator[ClusterEvaluator]:
     """An evaluator on the workers of the scheduler at an address, or on so many processes that are started here. Raises
     ``ConfigError`` where the library is missing, and where no scheduler or no worker is there."""
-    try:
-        import distributed
-    except ModuleNotFoundError:
-        raise ConfigError(
-            "Searches on a cluster need dask.distributed, which is missing.",
-            "Install it (pip install 'thinshell_ros[cluster]').",
-        ) from None
-    local = None
-    if address == LOCAL:
+    check_cluster(address)
+    import distributed
+
+    with ExitStack() as opened:
+        opened.enter_context(_quiet(logging.getLogger("distributed.client")))
+        place: Any = address
+        if address == LOCAL:
+            try:
+                place = distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
+                )
+            except RuntimeError as error:
+                raise ConfigError(
+                    f"Processes for the search could not be started: {error}.",
+                    'A script of your own must do its work under if __name__ == "__main__", in a file.',
+                ) from None
+            opened.callback(place.close)
         try:
-            local = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
-            )
-        except RuntimeError as error:
-            raise ConfigError(
-                f"Processes for the search could not be started: {error}.",
-                'A script of your own must do its work under if __name__ == "__main__", in a file.',
-            ) from None
-    try:
-        with _connected(local or address) as client:
-            yield ClusterEvaluator(client, made, workers, coarse, size)
-    finally:
-        if local is not None:
-            local.close()
-
-
-def _connected(cluster: Any) -> Client:
-    """A client of a scheduler, of which the first worker is there. Raises ``ConfigError`` where that is not so."""
-    from distributed import Client
-
-    client = None
-    try:
-        client = Client(cluster, timeout=WAIT_S, set_as_default=False)
-        client.wait_for_workers(1, timeout=WAIT_S)
-    except (OSError, ValueError, asyncio.TimeoutError) as error:  # in Python 3.10 the last is none of the first
-        if client is not None:
-            client.close()
-        raise ConfigError(
-            f"The scheduler {cluster!r} cannot be used: {str(error) or type(error).__name__}.",
-            "Write tcp://HOST:PORT of one that runs ('dask scheduler') and has workers ('dask worker'), or 'local'.",
-        ) from None
-    return client
+            client = opened.enter_context(distributed.Client(place, timeout=WAIT_S, set_as_default=False))
+            client.wait_for_workers(1, timeout=WAIT_S)
+        except (OSError, ValueError, asyncio.TimeoutError) as error:  # in Python 3.10 the last is none of the first
+            why = str(error) or type(error).__name__
+            raise ConfigError(f"The scheduler {address!r} cannot be used: {why}.", SCHEDULER) from None
+        yield ClusterEvaluator(client, made, workers, coarse, size)

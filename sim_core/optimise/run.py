@@ -28,6 +28,7 @@ import numpy as np
 import yaml
 
 from sim_core.errors import ConfigError, ConvergenceError
+from sim_core.optimise.cluster import check_cluster
 from sim_core.optimise.confirm import Confirmations
 from sim_core.optimise.descent import SHAKE
 from sim_core.optimise.evaluators import Parameters
@@ -108,9 +109,12 @@ def optimise(
     """Search for the best action of a task.
 
     ``folder``: new, or one in which the same search was begun. Ctrl-C ends the search, and what was found is kept.
-    Raises ``ConfigError`` where the folder has another search, and where no rollout came to an end.
+    Raises ``ConfigError`` where the folder has another search, where the cluster has no such address, and where no
+    rollout came to an end.
     """
     search = method(settings.method).search
+    if settings.cluster:
+        check_cluster(settings.cluster)
     space = ActionSpace(made)
     log = None
     if folder is not None:

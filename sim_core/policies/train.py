@@ -17,10 +17,13 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -32,7 +35,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.policies.batch import Batch
-from sim_core.tasks.load import load_task
+from sim_core.tasks.environment import TaskEnv
 from sim_core.tasks.observation import Kind
 
 POLICY, PROGRESS, EPISODES, CHECKPOINT = "policy.json", "progress.json", "episodes.jsonl", "checkpoint_{}"
@@ -192,10 +195,11 @@ def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -
     kind, options = ALGORITHMS[training.algorithm]
     place = folder / CHECKPOINT.format(progress.rounds)
     if progress.rounds:
-        normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-        model = kind.load(place / "model.zip", env=normal, device="cpu")
-        if isinstance(model, SAC):
-            model.load_replay_buffer(place / "replay.pkl")
+        with _reading(place):
+            normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
+            model = kind.load(place / "model.zip", env=normal, device="cpu")
+            if isinstance(model, SAC):
+                model.load_replay_buffer(place / "replay.pkl")
         return model, normal
     normal = VecNormalize(batch, norm_reward=False, gamma=1.0)
     policy: dict[str, Any] = {"net_arch": NETWORK}
@@ -238,7 +242,7 @@ def _opened(training: Training, folder: Path) -> Progress:
         elif folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"The folder {folder} has other files in it.", "Name a new folder.")
         else:
-            load_task(training.task)
+            TaskEnv(training.task, **training.options())  # a training that cannot begin leaves no folder
             folder.mkdir(parents=True, exist_ok=True)
             (folder / POLICY).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
         progress = read_progress(folder)
@@ -252,12 +256,21 @@ def _opened(training: Training, folder: Path) -> Progress:
 
 
 def read_progress(folder: Path) -> Progress:
-    """How far a training is. Raises ``ConfigError`` for a file that does not say it."""
+    """How far a training is. Raises ``ConfigError`` where that cannot be read."""
     path = folder / PROGRESS
     try:
         return Progress(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else Progress()
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{path} does not say how far the training is: {error}.", "Name another folder.") from None
+        raise ConfigError(f"{path} is not of a training: {error}.", "Name a new folder, and train anew.") from None
+
+
+@contextmanager
+def _reading(place: Path) -> Iterator[None]:
+    """Errors of a checkpoint that is missing or damaged as ``ConfigError``."""
+    try:
+        yield
+    except (OSError, EOFError, ValueError, KeyError, AttributeError, BadZipFile, UnpicklingError) as error:
+        raise ConfigError(f"The checkpoint {place} cannot be read: {error}.", "Train anew in a new folder.") from None
 
 
 def read_training(folder: Path) -> Training:
@@ -295,7 +308,8 @@ def load_policy(folder: Path) -> Policy:
     if not progress.rounds or not place.is_dir():
         raise ConfigError(f"{folder} has no checkpoint yet.", "Let 'thinshell policy train' make a round.")
     batch = Batch(training.task, 1, 1, **training.options())
-    normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-    normal.training = False
-    model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", device="cpu")
+    with _reading(place):
+        normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
+        normal.training = False
+        model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", device="cpu")
     return Policy(training, model, normal)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sysid.cli.bounds import number, whole_number
-from sysid.cli.options import ClusterOption
+from sysid.cli.options import ClusterOption, parse_names
 from sysid.progress import progress
 
 
@@ -47,7 +47,7 @@ def benchmark(
     from sim_core.tasks import load_task, task_names
     from sysid.report.benchmark_page import write_benchmark_page
 
-    names = [word.strip() for word in methods.split(",") if word.strip()]
+    names = parse_names(methods, "--methods", "hybrid,cma")
     for name in names:
         method_named(name)
     chosen = [task if ":" in task or variant == "real" else f"{task}:{variant}" for task in tasks or task_names()]

@@ -57,7 +57,10 @@ def write_rrd(subject: Subject, path: Path) -> None:
     import rerun as rr
 
     stream = rr.RecordingStream("thinshell", recording_id=subject.title)
-    stream.save(path, default_blueprint=_views(subject))
+    try:
+        stream.save(path, default_blueprint=_views(subject))
+    except RuntimeError as error:
+        raise ConfigError(f"{path} cannot be written: {error}.", "Name a file in a folder of your own.") from None
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     extent = float(np.ptp(subject.states.positions.reshape(-1, 3), axis=0).max())
     for name, camera in subject.rig.cameras.items():

@@ -164,3 +164,13 @@ def test_every_file_that_a_page_links_to_exists(page: Path) -> None:
         if not (page.parent / path).exists():
             broken.append(link)
     assert broken == []
+
+
+@pytest.mark.parametrize("page", sorted(p for p in DOCS.rglob("*.md") if "8<" in p.read_text().replace(" ", "")))
+def test_pages_hold_the_files_that_they_include(page: Path) -> None:
+    # A formatter that takes the mark of a file for code ends what it does, and the page shows the mark.
+    markdown = pytest.importorskip("markdown")
+    pytest.importorskip("pymdownx")
+    places = {"pymdownx.snippets": {"base_path": [str(ROOT / "examples")], "check_paths": True}}
+    text = markdown.markdown(page.read_text(), extensions=["pymdownx.snippets"], extension_configs=places)
+    assert not re.search(r"8\s*(&lt;|<)", text)

@@ -44,3 +44,11 @@ def test_the_signature_of_a_force_that_is_scaled_is_in_the_force(pulled: gallery
 
 def test_an_effect_that_cannot_act_has_no_signature(pulled: gallery.Stage) -> None:
     assert gallery.signature(effect_by_name("gel_relaxation"), pulled) is None
+
+
+def test_an_effect_that_there_is_not_is_an_error_that_names_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert gallery.main(["wrench_gian"], tmp_path / "out") == 2
+    assert capsys.readouterr().err == "error: No effect is called 'wrench_gian'. Did you mean 'wrench_gain'?\n"
+    assert not (tmp_path / "out").exists()

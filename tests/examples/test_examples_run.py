@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from notebooks import DIGEST, code_digest, executed, paths_in
+from notebooks import main as make_notebooks
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -120,3 +121,13 @@ def test_the_quickstart_of_the_readme_runs(tmp_path: Path) -> None:
     assert (tmp_path / "look" / "picture.png").exists()
     assert (tmp_path / "diagnosis" / "report.html").exists()
     assert "strip.E" in run.stdout
+
+
+def test_what_is_no_notebook_is_refused_before_any_is_executed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "text.md").touch()
+    for name in ("nothing.ipynb", "text.md", "."):
+        assert make_notebooks([tmp_path / name]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"error: {tmp_path / name} is no notebook.") and "first_steps.ipynb" in error

@@ -81,6 +81,16 @@ def test_the_command_prints_a_layout_or_says_what_is_wrong(capsys: pytest.Captur
     assert json.loads(capsys.readouterr().out) == foxglove.layout(load_rig(RIG), "/left")
     assert foxglove.main([]) == 2
     assert "python -m thinshell_ros.foxglove RIG" in capsys.readouterr().err
+    assert foxglove.main(["--help"]) == 2
+    assert "python -m thinshell_ros.foxglove RIG" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("namespace", ["left", "/left arm", "/2", "//left", ""])
+def test_a_namespace_that_ros_does_not_have_is_refused(namespace: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert foxglove.main([str(RIG), namespace]) == 2
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert captured.err.startswith(f"error: {namespace!r} is no namespace of ROS.") and "as /left" in captured.err
 
 
 @pytest.fixture(scope="module")

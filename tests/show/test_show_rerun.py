@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sim_core.errors import ConfigError
 from sim_core.rigs import PinholeCamera, Pose, load_rig
 from sysid.cli.app import main
 from sysid.show.rerun_export import TIMELINE, write_rrd
@@ -75,6 +76,10 @@ def read(path: Path) -> dict[str, list[tuple[float, dict[str, Any]]]]:
 
 def values_of(rows: list[tuple[float, dict[str, Any]]], component: str) -> list[np.ndarray]:
     return [np.array(next(v for n, v in values.items() if n.endswith(f":{component}"))) for _, values in rows]
+
+
+PROC = Path("/proc")
+"""In it, nobody can make a file."""
 
 
 @pytest.fixture
@@ -158,3 +163,10 @@ def test_the_extra_is_named_where_it_is_missing(
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main(["rerun", "gel_sensor", "press_twist", "--out", str(tmp_path / "a.rrd")]) == 2
     assert "thinshell_ros[rerun]" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not PROC.is_dir(), reason="there is no /proc")
+def test_a_file_that_the_system_refuses_is_named() -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk, of the extra 'rerun', is not installed")
+    with pytest.raises(ConfigError, match=r"/proc/a.rrd cannot be written.*Name a file"):
+        write_rrd(pressed(measured=False), PROC / "a.rrd")

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from small_task import small_task
 
 from sim_core.errors import ConfigError, WorkerError
 from sim_core.optimise import Settings, optimise
+from sim_core.optimise.benchmark import benchmark
 from sim_core.optimise.cluster import ClusterEvaluator, cluster_evaluator, on_worker, versions
 from sim_core.optimise.evaluators import Request
 from sim_core.optimise.problem import read_log
@@ -25,6 +27,7 @@ from sim_core.rigs import with_parameters
 from sim_core.tasks import MadeTask
 
 distributed = pytest.importorskip("distributed")
+CommClosedError = pytest.importorskip("distributed.comm").CommClosedError
 
 KILLED = 10
 
@@ -164,6 +167,38 @@ def test_a_scheduler_without_workers_is_an_error(tmp_path: Path, monkeypatch: py
 def test_a_scheduler_that_is_not_there_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_core.optimise.cluster.WAIT_S", 0.5)
     made = small_task(tmp_path)
-    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
-        with pytest.raises(ConfigError, match=rf"The scheduler '{address}' cannot be used.*tcp://HOST:PORT"):
-            optimise(made, Settings(rollouts=2, cluster=address))
+    with pytest.raises(ConfigError, match=r"The scheduler 'tcp://127.0.0.1:9' cannot be used.*tcp://HOST:PORT"):
+        optimise(made, Settings(rollouts=2, cluster="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("address", ["nonsense://x:1", "localhost", "tcp://a:", "tcp://a:70000", "tcp://:8786"])
+def test_what_is_no_address_is_refused_before_anything_is_written_or_asked(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def client(*_: object, **__: object) -> None:
+        raise AssertionError("a client that cannot connect prints a traceback when it is collected, after a minute")
+
+    monkeypatch.setattr(distributed, "Client", client)
+    made = small_task(tmp_path)
+    settings = Settings(rollouts=2, cluster=address)
+    with pytest.raises(ConfigError, match=rf"The scheduler '{address}' cannot be used.*tcp://HOST:PORT"):
+        optimise(made, settings, tmp_path / "run")
+    with pytest.raises(ConfigError, match=rf"The scheduler '{address}' cannot be used.*tcp://HOST:PORT"):
+        benchmark(["lifting"], ["cma"], [0], settings, tmp_path / "bench")
+    assert not (tmp_path / "run").exists() and not (tmp_path / "bench").exists()
+
+
+@pytest.mark.parametrize("error", [CancelledError(), CommClosedError("gone")])
+def test_a_scheduler_that_is_lost_is_an_error_that_says_how_to_go_on(error: Exception, tmp_path: Path) -> None:
+    class Lost:
+        """A client, and what it hands out, of a scheduler that has ended."""
+
+        def submit(self, *_: object, **__: object) -> Lost:
+            return self
+
+        def result(self) -> None:
+            raise error
+
+    evaluator = ClusterEvaluator(Lost(), small_task(tmp_path), 1, False, 12)
+    with pytest.raises(WorkerError, match=r"The scheduler was lost during a rollout of small.*goes on"):
+        evaluator.outcomes([Request(np.zeros(12))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -111,8 +112,27 @@ def test_mistakes_are_reported(
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize("text", ["{", "[1]", '{"nothing": 1}'])
-def test_a_folder_that_does_not_say_how_far_its_training_is_is_refused(text: str, tmp_path: Path) -> None:
+def test_a_training_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
+    wanted = replace(training(tmp_path, "sac"), vary={"card.E_pa": (2.5e9, 1.5e9)})
+    with pytest.raises(ConfigError, match=r"lower end first"):
+        train(wanted, 1, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ['{"rounds"', '{"rounds": 3, "other": 1}', "[1]"])
+def test_progress_that_cannot_be_read_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "progress.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"progress.json does not say how far the training is"):
+    with pytest.raises(ConfigError, match=r"progress.json is not of a training.*new folder"):
         read_progress(tmp_path)
+
+
+def test_a_checkpoint_without_its_files_is_named(tmp_path: Path) -> None:
+    wanted, out = training(tmp_path, "sac"), tmp_path / "out"
+    (out / "checkpoint_3").mkdir(parents=True)
+    about = json.loads(json.dumps({"format": 1, **asdict(wanted)}))
+    (out / "policy.json").write_text(json.dumps(about))
+    (out / "progress.json").write_text('{"rounds": 3}')
+    with pytest.raises(ConfigError, match=r"The checkpoint .*checkpoint_3 cannot be read.*Train anew"):
+        load_policy(out)
+    with pytest.raises(ConfigError, match=r"The checkpoint .*checkpoint_3 cannot be read.*Train anew"):
+        train(wanted, 4, out)

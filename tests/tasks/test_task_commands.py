@@ -62,6 +62,7 @@ def test_seeds_begin_elsewhere_and_a_table_says_what_was_not_run(
         (["optimise", "lifting:reel"], "has no variant 'reel'. Did you mean 'real'?"),
         (["optimise", "lifting", "--budget", "0"], "--budget"),
         (["optimise", "lifting", "--posterior", "none.json"], "none.json is no result of a fit"),
+        (["benchmark", "lifting", "--methods", ","], "--methods ',' holds an empty name"),
     ],
 )
 def test_what_cannot_be_used_is_refused_before_anything_runs(
