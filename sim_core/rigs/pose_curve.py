@@ -12,7 +12,8 @@ that moves along one axis is at rest along others. It has the least expected err
 is known. The degrees of freedom d are those of Utreras (1981), ``2 + sum_k 1 / (1 + lambda h mu_k)``,
 ``mu_k = (pi (k - 1/2) / T)^4 / h^2``. Where the motion really was is then normal about the curve, at the samples with
 the covariance ``sigma^2 (1 + lambda K)^-1``, where ``sum_k g_k (K g)_k = int |g''|^2 dt`` (Wahba, J. R. Stat. Soc. B
-45, 1983).
+45, 1983). Where a hand rests along an axis it does not creep either (:mod:`sim_core.rigs.pose_rest`): the curve goes
+through the mean of the samples of a rest, which weigh infinitely, and the others are smoothed.
 
 Where samples are no smooth motion at their sampling interval (steps of a command, jumps, gaps, sudden changes of
 velocity) the curve has a corner: it is continuous there, and the splines on both sides do not see each other. Two
@@ -28,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_core.rigs.fields import FloatArray
+from sim_core.rigs.pose_rest import rests
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -178,7 +180,6 @@ def _spline(times: FloatArray, values: FloatArray, sigma: float, drawn: np.rando
 
     if sigma <= 0.0:
         return np.asarray(CubicSpline(times, values, bc_type="not-a-knot").c)
-    smoothing = _Smoothing(times)
     _, _, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)
     parts = []
     for axis in axes:
@@ -186,57 +187,76 @@ def _spline(times: FloatArray, values: FloatArray, sigma: float, drawn: np.rando
         # The noise of a quaternion is at right angles to it.
         across = 1.0 - float(np.mean(along**2)) if values.shape[1] == 4 else 1.0
         mine = sigma * np.sqrt(max(across, 0.0)) if len(along) < 4 * FEWEST else float(_noise_along(along[:, None])[0])
-        weight = smoothing.weight(along, mine)
-        near = along - smoothing.off(along, weight)
-        if drawn is not None:
-            near = near + mine * smoothing.draw(1, weight, drawn)[:, 0]
+        near, weight = _smoothed(times, along, mine, drawn)
         parts.append(CubicSpline(times, near, bc_type="natural" if weight > 0.0 else "not-a-knot").c)
     return np.asarray(np.stack(parts, axis=-1) @ axes)
 
 
+def _smoothed(
+    times: FloatArray, values: FloatArray, sigma: float, drawn: np.random.Generator | None
+) -> tuple[FloatArray, float]:
+    """Samples ``(n,)`` of a smooth curve near those with noise ``sigma``, or of one that is drawn about it, and how
+    much it is smoothed."""
+    near, still = values.copy(), rests(values, sigma) if sigma > 0.0 else []
+    open_ = np.ones(len(values))
+    for span in still:
+        near[span] = values[span].mean()
+        open_[span] = 0.0
+    smoothing = _Smoothing(times, open_)
+    weight = smoothing.weight(near, sigma)
+    near = near - smoothing.off(near, weight)
+    if drawn is not None:
+        away = smoothing.draw(weight, drawn)
+        for span in still:
+            away[span] = drawn.standard_normal() / np.sqrt(span.stop - span.start)
+        near = near + sigma * (away - smoothing.off(away, weight))
+    return near, weight
+
+
 class _Smoothing:
     """Smoothing splines at samples: with the bands of Q and R, second differences and the products of hats (Reinsch
-    1967), K = Q R^-1 Q^T."""
+    1967), K = Q R^-1 Q^T. ``variance`` ``(n,)``: of each sample, 1, or 0 of one that the curve goes through."""
 
-    def __init__(self, times: FloatArray) -> None:
+    def __init__(self, times: FloatArray, variance: FloatArray) -> None:
         steps = np.diff(times)
-        self._steps, self._span = steps, float(times[-1] - times[0])
+        self._steps, self._span, self._variance = steps, float(times[-1] - times[0]), variance
         self._inner, self._outer = 1.0 / steps[:-1], 1.0 / steps[1:]
-        self._middle = -(self._inner + self._outer)
-        self._products = np.zeros((3, len(times) - 2))  # Q^T Q, upper bands
-        self._products[2] = self._inner**2 + self._middle**2 + self._outer**2
-        self._products[1, 1:] = self._middle[:-1] * self._inner[1:] + self._outer[:-1] * self._middle[1:]
-        self._products[0, 2:] = self._outer[:-2] * self._inner[2:]
+        middle = self._middle = -(self._inner + self._outer)
+        self._products = np.zeros((3, len(times) - 2))  # Q^T V Q, upper bands
+        self._products[2] = variance[:-2] * self._inner**2 + variance[1:-1] * middle**2 + variance[2:] * self._outer**2
+        self._products[1, 1:] = variance[1:-2] * middle[:-1] * self._inner[1:]
+        self._products[1, 1:] += variance[2:-1] * self._outer[:-1] * middle[1:]
+        self._products[0, 2:] = variance[2:-2] * self._outer[:-2] * self._inner[2:]
         self._moments = np.zeros((3, len(times) - 2))  # R
         self._moments[2] = (steps[:-1] + steps[1:]) / 3.0
         self._moments[1, 1:] = steps[1:-1] / 6.0
 
     def off(self, values: FloatArray, weight: float) -> FloatArray:
-        """By how much the curve with a weight lambda is off the samples ``(n, ...)``."""
+        """By how much the curve with a weight lambda is off the samples ``(n,)``."""
         from scipy.linalg import solveh_banded
 
-        second = np.diff((np.diff(values, axis=0).T / self._steps).T, axis=0)
-        return weight * self._back(solveh_banded(self._moments + weight * self._products, second))
+        second = np.diff(np.diff(values) / self._steps)
+        return weight * self._variance * self._back(solveh_banded(self._moments + weight * self._products, second))
 
     def _back(self, gamma: FloatArray) -> FloatArray:
         """Q gamma."""
-        away = np.zeros((len(gamma) + 2, *gamma.shape[1:]))
-        away[:-2] += (self._inner * gamma.T).T
-        away[1:-1] += (self._middle * gamma.T).T
-        away[2:] += (self._outer * gamma.T).T
+        away = np.zeros(len(gamma) + 2)
+        away[:-2] += self._inner * gamma
+        away[1:-1] += self._middle * gamma
+        away[2:] += self._outer * gamma
         return away
 
     def weight(self, values: FloatArray, sigma: float) -> float:
         """The weight lambda with the least expected error of samples ``(n,)`` with noise ``sigma``, 0 where they are
-        best not smoothed at all."""
+        best not smoothed at all. The degrees of freedom are those of the share of the samples that have noise."""
         from scipy.optimize import minimize_scalar
 
-        n = len(values)
+        n, share = len(values), float(self._variance.mean())
         mu = (np.pi * (np.arange(2, n) - 0.5) / self._span) ** 4 * (self._span / (n - 1))
 
         def risk(log_weight: float) -> float:
             """Expected sum of squared errors, but for a constant."""
-            freedom = 2.0 + float((1.0 / (1.0 + 10.0**log_weight * mu)).sum())
+            freedom = share * (2.0 + float((1.0 / (1.0 + 10.0**log_weight * mu)).sum()))
             return float((self.off(values, 10.0**log_weight) ** 2).sum()) + 2.0 * sigma**2 * freedom
 
         low, high = (float(np.log10(w / mu[end])) for w, end in ((1e-3, -1), (1e3, 0)))
@@ -247,15 +267,15 @@ class _Smoothing:
         around = (decades[best - 1], decades[min(best + 1, len(decades) - 1)])
         return float(10.0 ** minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.02}).x)
 
-    def draw(self, columns: int, weight: float, rng: np.random.Generator) -> FloatArray:
-        """A draw ``(n, columns)`` of the covariance (1 + lambda K)^-1: with R = U^T U, the curve near the samples
-        e + lambda^(1/2) Q U^-1 z for normal e and z, of which the covariance is 1 + lambda K."""
+    def draw(self, weight: float, rng: np.random.Generator) -> FloatArray:
+        """Samples ``(n,)`` near which the curve is a draw of the covariance (V^-1 + lambda K)^-1: with R = U^T U, V^1/2
+        e + lambda^(1/2) V Q U^-1 z for normal e and z, of which the covariance is V + lambda V K V."""
         from scipy.linalg import cholesky_banded, solve_banded
 
-        noise = rng.standard_normal((len(self._steps) + 1, columns))
-        normal = rng.standard_normal((len(self._steps) - 1, columns))
-        noise += np.sqrt(weight) * self._back(solve_banded((0, 2), cholesky_banded(self._moments), normal))
-        return np.asarray(noise - self.off(noise, weight))
+        noise = rng.standard_normal(len(self._steps) + 1)
+        normal = rng.standard_normal(len(self._steps) - 1)
+        motion = self._back(solve_banded((0, 2), cholesky_banded(self._moments), normal))
+        return np.asarray(self._variance * (noise + np.sqrt(weight) * motion))
 
 
 def noise_of(times: FloatArray, positions: FloatArray, quaternions: FloatArray) -> FloatArray:
