@@ -311,12 +311,31 @@ def of_rollouts(responses: np.ndarray, along: Sequence[np.ndarray]) -> np.ndarra
     along the draws.
 
     What is alike in k readings in a row is known no better by all of them than by one: as errors that are independent
-    from instant to instant they have k times the variance, with k the integrated autocorrelation of the differences."""
+    from instant to instant they have k times the variance, with k the integrated autocorrelation of the differences.
+    What rests on friction turns over now and then, and a few draws may all agree at an instant at which the next one
+    would not: half of the variance is that of the readings thereabouts."""
     if len(along) < 2:
         return np.zeros((len(responses), 0, responses.shape[1]))
     whole = np.sqrt(DISCRETISATION.drawn_motions) * responses
     found = np.nan_to_num(np.stack([there - along[0] - whole[..., k] for k, there in enumerate(along[1:])], axis=1))
-    return np.asarray(np.sqrt(_integrated_autocorrelation(found) / found.shape[1]) * found)
+    return np.asarray(np.sqrt(_integrated_autocorrelation(found) / found.shape[1]) * _shrunk(found))
+
+
+def _shrunk(errors: np.ndarray) -> np.ndarray:
+    """Errors ``(n, r, m)`` of unit variance, half of the covariance of which is that of each instant and half the mean
+    of those about it, in windows as wide as the finest level of courses of errors: their largest principal components
+    ``(n, r, m)``, of the same variance as all."""
+    n, r, m = errors.shape
+    reach = n // (2 * (SOLVE.error_course_levels[-1][0] - 1))
+    out = np.zeros((n, r, m))
+    for k in range(n):
+        near = errors[max(0, k - reach) : k + reach + 1].reshape(-1, m)
+        both = np.concatenate([errors[k], near / np.sqrt(len(near) / r)]) / np.sqrt(2.0)
+        _, s, vt = np.linalg.svd(both, full_matrices=False)
+        kept = min(r, len(s))
+        share = np.linalg.norm(s[:kept]) / max(np.linalg.norm(s), np.finfo(float).tiny)
+        out[k, :kept] = s[:kept, None] / max(share, np.finfo(float).tiny) * vt[:kept]
+    return out
 
 
 def _integrated_autocorrelation(values: np.ndarray) -> float:
