@@ -28,7 +28,7 @@ from sysid.diagnosis.baseline import (
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.look import Look, look
-from sysid.diagnosis.reference_model import added_at
+from sysid.diagnosis.reference_model import added_at, standing
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.predictor import Prediction
@@ -37,6 +37,7 @@ from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.solve import SOLVE
+from sysid.solve.named_errors import NamedErrors
 from sysid.solve.optimum import Fitted
 
 Shapes = tuple[tuple[str, str], ...]
@@ -46,12 +47,14 @@ Shapes = tuple[tuple[str, str], ...]
 @dataclass(frozen=True)
 class FittedSet:
     """The rig with a set of effects beyond it, empty for the baseline. ``there``: the model on the recordings held out,
-    None without any; ``seen``: the look at all other effects from there."""
+    None without any; ``seen``: the look at all other effects from there; ``named``: its errors, where those of mesh
+    and time step were measured where it stands, None: those of the baseline."""
 
     hypotheses: tuple[Hypothesis, ...]
     fitted: Fitted
     there: Fitted | None
     seen: Look
+    named: NamedErrors | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,12 +79,14 @@ class FittedSet:
 
 @dataclass(frozen=True)
 class _Start:
-    """Where a fit begins. ``centre``: rig that the priors pull to; ``scaled`` ``(p,)``: in the fitted scale."""
+    """Where a fit begins. ``centre``: rig that the priors pull to; ``scaled`` ``(p,)``: in the fitted scale; ``named``:
+    errors other than those of the baseline."""
 
     hypotheses: tuple[Hypothesis, ...]
     centre: Rig
     parameters: list[FitParameter]
     scaled: np.ndarray
+    named: NamedErrors | None = None
 
 
 class SetFits:
@@ -126,8 +131,23 @@ class SetFits:
     def _fitted_on(self, one: FittedSet) -> FittedSet | None:
         """A set fitted on to the recordings of the baseline from where it stands."""
         fitted = one.fitted
-        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), fitted.scaled)
+        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), fitted.scaled, one.named)
         return self._fitted(start, (), " and ".join(one.names))
+
+    def with_error_where_it_stands(self, one: FittedSet) -> FittedSet:
+        """A set fitted on with the errors of mesh and time step as they are where it stands: what a law adds to them
+        the baseline, which is without it, does not show. The set itself where these cannot be measured."""
+        base, fitted = self._base, one.fitted
+        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in base.problem.runs]
+        coarse = base.engine.coarse
+        try:
+            jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, base.problem.runs, strict=True)]
+            own = [job.result() for job in jobs]
+            model = standing(coarse, base.reference, rigs, base.problem.runs, own)
+        except ThinshellError:
+            return one
+        assert base.problem.named is not None
+        return self._fitted_on(replace(one, named=base.problem.named.with_refined(model.refined))) or one
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""
@@ -168,7 +188,7 @@ class SetFits:
         there = dict(zip((p.target for p in whole.fitted.parameters), whole.fitted.scaled, strict=True))
         fitted = one.fitted
         at = np.array([there[p.target] for p in fitted.parameters])
-        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), at)
+        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), at, one.named)
         name = " and ".join(one.names)
         again = self._fitted(start, (), name)
         self.failed.pop(name, None)  # It is fitted, whatever became of this.
@@ -183,7 +203,7 @@ class SetFits:
         """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
         base = self._base
         try:
-            problem = copy(base.problem)
+            problem = copy(base.problem) if start.named is None else base.problem.with_named(start.named)
             problem.engine = SparingPredictor(base.problem.engine)
             fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, start.scaled)
             if base.reference is not None:
@@ -200,7 +220,7 @@ class SetFits:
         except ThinshellError as error:
             self.failed[name] = f"could not be simulated: {error}"
             return None
-        return FittedSet(whole, fitted, there, seen)
+        return FittedSet(whole, fitted, there, seen, start.named)
 
     def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
         """Predictions with what the reference model adds where a model stands."""

@@ -5,7 +5,8 @@ where most of its effects are fitted. The most probable sets that are not fitted
 noise alone, single effects are simulated where they would begin as well: far from where a model is linearised, its
 evidence says little of which is best. Mistakes of trackers and sensors are looked for again in the residuals of each
 set that leaves less than all before, and recordings that could not tell which time steps they follow are asked again by
-the first one; where these are others, all begins anew. Of the best set of several effects all parts are fitted before
+the first one; where these are others, all begins anew. Errors of mesh and time step are measured where the most
+probable sets stand before one of them is an answer. Of the best set of several effects all parts are fitted before
 it is an answer, and sets that are a part of it and nearly as probable are fitted again from where it stands: searches
 of models with kinks do not end at the same depth, and what has fewer effects must not lose by that.
 """
@@ -33,6 +34,7 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
     fitted = [fits.baseline]
     tried: set[tuple[str, ...]] = {()}
     simulated, clearest, asked = False, fitted[0].names, not fits.base.undecided
+    measured: set[tuple[str, ...]] = {()}
     compared_from: set[tuple[tuple[str, ...], tuple[str, ...]]] = set()
     while True:
         best = min(fitted, key=lambda one: one.misfit)
@@ -65,6 +67,12 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
         if not simulated and leaves_misfit(ledger_with(fitted)):
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
         wanted = [names for names in wanted if names not in tried][:room]
+        stale = [] if wanted else [one.names for one in _probable(posterior, fitted) if one.names not in measured]
+        if stale:
+            say("error of mesh and time step where effects stand")
+            measured |= set(stale)
+            fitted = [fits.with_error_where_it_stands(one) if one.names in stale else one for one in fitted]
+            continue
         if not wanted:
             others = [] if asked or not leaves_misfit(ledger_with(fitted)) else fits.with_steps_that_it_follows(best)
             return fitted, None if others else posterior, others
@@ -115,13 +123,19 @@ def _parts(
     return [part for part in parts if part[0] not in tried]
 
 
+def _probable(posterior: Posterior, fitted: list[FittedSet]) -> list[FittedSet]:
+    """Sets that are fitted, of the most probable one and those not far less probable."""
+    known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
+    near = {m.effects for m in known if m.log_bayes_factor > known[0].log_bayes_factor - DIAGNOSIS.rival_nats}
+    return [one for one in fitted if one.names in near]
+
+
 def _rivals(posterior: Posterior, fitted: list[FittedSet]) -> tuple[FittedSet, list[FittedSet]]:
     """The most probable set of effects that are known, if it is fitted, and those that are a part of it, not far less
     probable, and fitted too."""
     known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
     whole = next((one for one in fitted if one.names == known[0].effects), fitted[0])
-    near = {m.effects for m in known if m.log_bayes_factor > known[0].log_bayes_factor - DIAGNOSIS.rival_nats}
-    return whole, [one for one in fitted if set(one.names) < set(whole.names) and one.names in near]
+    return whole, [one for one in _probable(posterior, fitted) if set(one.names) < set(whole.names)]
 
 
 def leaves_misfit(ledger: Ledger) -> bool:

@@ -16,7 +16,8 @@ Errors that each instant has for itself are part of C, like noise that all marke
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +52,19 @@ class NamedErrors:
         """Those that each instant has for itself."""
         none = tuple({c: s[..., :0] for c, s in shapes.items()} for shapes in self.shapes)
         return NamedErrors((), none, instant=self.instant)
+
+    def with_refined(self, refined: Sequence[ErrorShape]) -> NamedErrors:
+        """The same with the errors of mesh and time step as they are measured elsewhere, by their labels."""
+        found = [dict(shapes) for shapes in self.shapes]
+        names = [c.name for c in self.columns]
+        for error in refined:
+            k = names.index(error.label)
+            for shapes, own in zip(found, error.shapes, strict=True):
+                for channel, shape in own.items():
+                    whole = shapes[channel].copy()
+                    whole[..., k] = shape
+                    shapes[channel] = whole
+        return replace(self, shapes=tuple(found), refined=tuple(refined))
 
     @property
     def mean(self) -> np.ndarray:

@@ -9,11 +9,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from sim_core.errors import ConvergenceError
 from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
 from sysid.diagnosis import diagnose as diagnosing
+from sysid.diagnosis import fitted_sets
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits
 from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.solve.discretisation_basis import ErrorShape
+from sysid.solve.named_errors import NamedError, NamedErrors
 
 N = 400
 T = np.linspace(0.0, 1.0, N)
@@ -62,6 +66,8 @@ class Fits:
         self.shorter: list[Any] = []
         self.snagged: dict[tuple[str, ...], np.ndarray] = {}
         self.again: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
+        self.measured: list[tuple[str, ...]] = []
+        self.off: dict[tuple[str, ...], np.ndarray] = {}
         self.simulated = 0
 
     def _fitted(self, names: tuple[str, ...]) -> Any:
@@ -84,6 +90,13 @@ class Fits:
 
     def fit_without(self, begun: Any, effect: str) -> Any:
         return self._fitted(tuple(n for n in begun.names if n != effect))
+
+    def with_error_where_it_stands(self, one: Any) -> Any:
+        self.measured.append(one.names)
+        asked = list(self.asked)
+        self.snagged[one.names] = self.snagged.get(one.names, 0.0) + self.off.get(one.names, 0.0)
+        found, self.asked = self._fitted(one.names), asked
+        return found
 
     def without_mistakes_of(self, best: Any, fitted: Any) -> Any:
         self.cleaned.append(best.names)
@@ -192,6 +205,51 @@ def test_what_has_fewer_effects_does_not_lose_by_where_its_search_ended() -> Non
     assert (("lag",), ("creep", "lag")) in fits.again and len(fits.again) == len(set(fits.again))
     assert posterior is not None and posterior.models[0].effects == ("lag",)
     assert next(one.misfit for one in fitted if one.names == ("lag",)) < 1.2
+
+
+def test_errors_of_the_mesh_are_measured_where_probable_sets_stand() -> None:
+    """Once each, of the best one and of those not far behind, before one is an answer; where they speak against it,
+    another one is."""
+    far, posterior, _ = run(noise(4) + 3.0 * COURSES["lag"] + 2.0 * COURSES["creep"])
+    assert posterior.models[0].effects == ("creep", "lag") and far.measured == [("creep", "lag")]
+    near, _, fitted = run(noise(4) + 3.0 * COURSES["lag"] + 0.4 * COURSES["creep"])
+    assert len(set(near.measured)) == len(near.measured) == len(fitted) - 1 > 1
+    fits = Fits(noise(2) + 0.3 * COURSES["lag"], noise(2) + 0.3 * COURSES["lag"])
+    fits.off[("lag",)] = 2.0 * COURSES["drag"]
+    _, after, _ = searched(cast(SetFits, fits), lambda text: None)
+    assert after is not None and after.models[0].effects != ("lag",) and ("lag",) in fits.measured
+    assert not run(noise(1))[0].measured
+
+
+def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is measured by the rig with its effects at their values, and takes the place of the baseline's in what is
+    fitted on; what cannot be measured is left."""
+    was, now = (ErrorShape("mesh", ({"wrist": np.full((3, 1), size)},)) for size in (1.0, 2.0))
+    columns = (NamedError("poses", "direction 1", 0.0, 1.0), NamedError("mesh", "mesh", 1.0, 0.5))
+    shapes = np.stack([np.full((3, 1), 7.0), was.shapes[0]["wrist"]], axis=-1)
+    named = NamedErrors(columns, ({"wrist": shapes},), (was,), ({"wrist": np.zeros((3, 0, 1))},))
+    fits = SetFits.__new__(SetFits)
+    runs = [SimpleNamespace(name="rec_01")]
+    problem = SimpleNamespace(runs=runs, named=named)
+    submitted: list[Any] = []
+    coarse = SimpleNamespace(submit=lambda rig, run: submitted.append(rig) or SimpleNamespace(result=lambda: "plain"))
+    fits._base = cast(Any, SimpleNamespace(problem=problem, engine=SimpleNamespace(coarse=coarse), reference=None))
+    model = SimpleNamespace(parameters=[], scaled=np.zeros(0), centre="rig with the effect")
+    one = FittedSet((), cast(Any, model), None, cast(Any, None))
+    monkeypatch.setattr(fitted_sets, "rig_in", lambda centre, parameters, scaled, name: centre)
+    monkeypatch.setattr(fitted_sets, "standing", lambda *given: SimpleNamespace(refined=[now]))
+    fits._fitted_on = lambda one: one  # type: ignore[method-assign, assignment]
+    found = fits.with_error_where_it_stands(one)
+    assert submitted == ["rig with the effect"] and found.named is not None
+    assert found.named.refined == (now,) and found.named.columns == columns
+    np.testing.assert_array_equal(found.named.shapes[0]["wrist"][0, 0], [7.0, 2.0])
+    np.testing.assert_array_equal(named.shapes[0]["wrist"][0, 0], [7.0, 1.0])
+
+    def fails(*given: Any) -> Any:
+        raise ConvergenceError("it does not end", "")
+
+    monkeypatch.setattr(fitted_sets, "standing", fails)
+    assert fits.with_error_where_it_stands(one) is one
 
 
 def test_what_is_far_less_probable_is_not_fitted_again() -> None:
