@@ -36,7 +36,10 @@ from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
+from sysid.settings.discretisation import DISCRETISATION
 from sysid.settings.solve import SOLVE
+from sysid.solve.covariance import uncertainty
+from sysid.solve.discretisation_basis import ErrorShape
 from sysid.solve.named_errors import NamedErrors
 from sysid.solve.optimum import Fitted
 
@@ -135,19 +138,31 @@ class SetFits:
         return self._fitted(start, (), " and ".join(one.names))
 
     def with_error_where_it_stands(self, one: FittedSet) -> FittedSet:
-        """A set fitted on with the errors of mesh and time step as they are where it stands: what a law adds to them
-        the baseline, which is without it, does not show. The set itself where these cannot be measured."""
-        base, fitted = self._base, one.fitted
-        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in base.problem.runs]
-        coarse = base.engine.coarse
-        try:
-            jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, base.problem.runs, strict=True)]
-            own = [job.result() for job in jobs]
-            model = standing(coarse, base.reference, rigs, base.problem.runs, own)
-        except ThinshellError:
-            return one
-        assert base.problem.named is not None
-        return self._fitted_on(replace(one, named=base.problem.named.with_refined(model.refined))) or one
+        """A set fitted on with the errors of mesh and time step as they are where it stands, in turns until it stays
+        there: what a law adds to them the baseline, which is without it, does not show. The set as it is where these
+        cannot be measured."""
+        assert self._base.problem.named is not None
+        for _ in range(DISCRETISATION.error_rounds):
+            try:
+                named = self._base.problem.named.with_refined(self._errors_of(one.fitted))
+            except ThinshellError:
+                return one
+            again = self._fitted_on(replace(one, named=named))
+            if again is None:
+                return one
+            moved = np.abs(again.fitted.scaled - one.fitted.scaled)
+            one = again
+            if np.all(moved <= DISCRETISATION.remeasured_sd * uncertainty(one.fitted).sd):
+                break
+        return one
+
+    def _errors_of(self, fitted: Fitted) -> list[ErrorShape]:
+        """What the recordings of the baseline are off by mesh and time step where a model stands."""
+        base, coarse = self._base, self._base.engine.coarse
+        runs = base.problem.runs
+        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
+        jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
+        return standing(coarse, base.reference, rigs, runs, [job.result() for job in jobs]).refined
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -238,9 +238,17 @@ def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch:
     one = FittedSet((), cast(Any, model), None, cast(Any, None))
     monkeypatch.setattr(fitted_sets, "rig_in", lambda centre, parameters, scaled, name: centre)
     monkeypatch.setattr(fitted_sets, "standing", lambda *given: SimpleNamespace(refined=[now]))
-    fits._fitted_on = lambda one: one  # type: ignore[method-assign, assignment]
+    stands = iter([0.0, 3.0, 3.5])
+
+    def fitted_on(one: Any) -> Any:
+        return replace(one, fitted=SimpleNamespace(**{**vars(model), "scaled": np.array([next(stands)])}))
+
+    fits._fitted_on = fitted_on  # type: ignore[method-assign, assignment]
+    monkeypatch.setattr(fitted_sets, "uncertainty", lambda fitted: SimpleNamespace(sd=np.ones(1)))
+    model.scaled = np.array([-2.0])
     found = fits.with_error_where_it_stands(one)
-    assert submitted == ["rig with the effect"] and found.named is not None
+    assert submitted == ["rig with the effect"] * 3, "until it moves by less than a standard deviation"
+    assert found.fitted.scaled == [3.5] and found.named is not None
     assert found.named.refined == (now,) and found.named.columns == columns
     np.testing.assert_array_equal(found.named.shapes[0]["wrist"][0, 0], [7.0, 2.0])
     np.testing.assert_array_equal(named.shapes[0]["wrist"][0, 0], [7.0, 1.0])
