@@ -2,7 +2,9 @@
 
 The best affine map from where the rig has the markers to where they were seen tells what is wrong: its determinant is
 negative for a mirror image (or a left-handed frame), its singular values are the scale, its rotation is the turn. Where
-no map fits, the numbers are not those of the rig.
+no map fits, the numbers are not those of the rig. In a picture a plane is foreshortened across the axis about which it
+is turned, and never along it, so that its scale is the larger singular value of the map from the plane to the picture:
+a strip that hangs where the rig has it straight is no larger for that.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from scipy.spatial.distance import cdist
 
 from sim_core.rigs import Rig
 from sysid.observations.checks.finding import Finding
-from sysid.observations.checks.rig_size import expected_markers
+from sysid.observations.checks.rig_size import expected_markers, on_body
 from sysid.observations.rig_match import marker_numbers
 from sysid.recording import Recording
 from sysid.settings.observations import OBSERVATIONS
@@ -37,10 +39,15 @@ def marker_layout(recording: Recording, rig: Rig) -> Iterator[Finding]:
         if good.sum() < OBSERVATIONS.layout_markers or len(common) < OBSERVATIONS.layout_markers:
             continue
         unit = "m" if name in recording.markers else "px"
-        yield from _compared(name, stream.topic, unit, expected[mine][good], seen[good])
+        body = on_body(rig, name) if unit == "px" else None
+        flat = None if body is None else body[mine][good]
+        yield from _compared(name, stream.topic, unit, expected[mine][good], seen[good], flat)
 
 
-def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.ndarray) -> Iterator[Finding]:
+def _compared(
+    name: str, topic: str, unit: str, expected: np.ndarray, seen: np.ndarray, body: np.ndarray | None
+) -> Iterator[Finding]:
+    """``body`` ``(n, 3)``: where the markers are on their body, if that is known."""
     flat, shown = _plane(expected), seen
     if _as_a_set(expected, seen):
         off = _misfit(seen - expected)
@@ -67,8 +74,12 @@ def _compared(name: str, topic: str, unit: str, expected: np.ndarray, seen: np.n
     linear = solution[:2].T  # plane of the rig to what was seen
     sizes = np.linalg.svd(linear, compute_uv=False)
     scale = float(np.sqrt(sizes[0] * sizes[1]))
+    surface = None if body is None else _plane(body)
     if _misfit(left) > OBSERVATIONS.layout_fit_share * spacing * max(scale, 1e-9):
         return  # bent or folded: its layout tells nothing more
+    if body is not None and surface is not None:
+        on_it = np.column_stack([(body - surface[0]) @ surface[1].T, np.ones(len(body))])
+        scale = _largest(on_it, seen) / _largest(on_it, expected)
     known = axes.T[:, :]  # the plane as the rig has it, in what is seen
     target = linear @ axes if seen.shape[1] == expected.shape[1] == 2 else linear
     if not 1.0 / OBSERVATIONS.layout_scale < scale < OBSERVATIONS.layout_scale:
@@ -126,6 +137,12 @@ def _plane(points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         return (centre, np.eye(2)) if spread[1] > OBSERVATIONS.layout_line_share * spread[0] else None
     _, spread, axes = np.linalg.svd(points - centre, full_matrices=False)
     return (centre, axes[:2]) if spread[1] > OBSERVATIONS.layout_line_share * spread[0] else None
+
+
+def _largest(design: np.ndarray, places: np.ndarray) -> float:
+    """The larger singular value of the best affine map from a plane to places."""
+    solution, *_ = np.linalg.lstsq(design, places, rcond=None)
+    return float(np.linalg.svd(solution[:2], compute_uv=False)[0])
 
 
 def _misfit(left: np.ndarray) -> float:

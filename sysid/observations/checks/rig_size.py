@@ -57,6 +57,14 @@ def expected_markers(rig: Rig, name: str, recording: Recording) -> np.ndarray | 
     return np.vstack(seen)
 
 
+def on_body(rig: Rig, name: str) -> np.ndarray | None:
+    """Where the markers that a camera sees are on their body, undeformed, in its own frame [m] ``(m, 3)``; None where
+    they are on several."""
+    sights = rig.cameras[name].sees
+    body = rig.bodies[sights[0].body] if len(sights) == 1 else None
+    return None if body is None or isinstance(body, Rigid) else marker_positions(sights[0].points, body)[0]
+
+
 def _starts(rig: Rig) -> dict[str, Frame]:
     """Frames of the mounts at the start."""
     from scipy.spatial.transform import Rotation

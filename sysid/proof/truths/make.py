@@ -183,16 +183,21 @@ def _conceal(
     """Effects with amplitudes that stand out, each by itself, and how far."""
     if not effects:
         return [], []
-    base = _readings(stand, changes(stand, []), training)
+    nothing = changes(stand, [])
+    clean = _clean(stand, nothing, training)
+    base = _readings(clean, nothing)
     shifted = []
     for attribute in kind.values.values():
         other = replace(stand, **{attribute: 1.01 * getattr(stand, attribute)})
-        shifted.append(_readings(other, changes(other, []), training))
+        shifted.append(_readings(_clean(other, changes(other, []), training), nothing))
     found, strengths = [], []
     for name in effects:
         for _ in range(MOST_DRAWS):
             one = draw(rng, stand, name)
-            strength = signal(_readings(stand, changes(stand, [one]), training), base, shifted, stand.levels)
+            change = changes(stand, [one])
+            moves = one.strip or one.ball or one.arm
+            seen = _readings(_clean(stand, change, training) if moves else clean, change)
+            strength = signal(seen, base, shifted, stand.levels)
             if strength >= MIN_SIGNAL:
                 break
         else:
@@ -210,9 +215,14 @@ def _truth_of(stand: Stand, change: Changes, *, coarse: bool = False) -> strip.S
     return strip.StripTruth(stand, change.strip, change.arm, **size)  # type: ignore[arg-type]
 
 
-def _readings(stand: Stand, change: Changes, routes: Paths) -> Readings:
+def _clean(stand: Stand, change: Changes, routes: Paths) -> list[Clean]:
+    """What happens on each route, good enough to weigh an effect."""
     truth = _truth_of(stand, change, coarse=True)
-    return [noise_free(truth.run(path), change.camera, change.wrench, change.clocks) for path in routes.values()]
+    return [truth.run(path) for path in routes.values()]
+
+
+def _readings(clean: Sequence[Clean], change: Changes) -> Readings:
+    return [noise_free(one, change.camera, change.wrench, change.clocks) for one in clean]
 
 
 def _write_yaml(path: Path, data: dict[str, Any]) -> None:
