@@ -22,6 +22,7 @@ is far from all others in time (single images at rest).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from sim_core.rigs import MarkerSensor, Rig, WrenchSensor
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.noise.common_mode import CommonMode
 from sysid.noise.common_mode_estimate import common_mode
-from sysid.noise.mixture import Mixture, mixture_of
+from sysid.noise.mixture import mixtures_of
 from sysid.noise.quantisation import common_step
 from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.noise.scatter import Stretch, line_residual, scatter_of, without_mistakes
@@ -160,52 +161,75 @@ def estimate_noise(runs: list[Run], channel: str, declared: np.ndarray | None = 
     found = [(r, m) for r in runs for m in r.measured if m.channel == channel]
     columns = found[0][1].values.shape[1]
     sigma, rho, white = np.zeros((3, columns))
-    source = FROM_DIFFERENCES
     given = np.broadcast_to(0.0 if declared is None else declared, columns)
     common = _common(found, float(given[0]))
-    for group in column_groups(found[0][1]):
-        first: list[Stretch] = []
-        rest: list[Stretch] = []
-        begun: list[tuple[np.ndarray, np.ndarray]] = []
-        jumps: list[float] = []
-        extent = 0.0
-        for run, measured in found:
-            values = measured.values[:, group]
-            values = values[:, np.isfinite(values).any(axis=0)]
-            if not values.size:
-                continue
-            extent = max(extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
-            jumps += by_differences(values, measured.t)
-            at = in_sampling_intervals(measured.t)
-            for stretch, scatter in rests(run, values, measured.t, float(given[group[0]])):
-                (first if stretch[0] == 0 else rest).append(scatter)
-                if stretch[0] == 0:
-                    begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
-        parts: Mixture | None = None
-        if first:
-            size = [s.size for s in first]
-            levels = [s.level for s in first]
-            if max(levels) > NOISE.unlike_rests_ratio * min(levels):
-                # Something still swings or creeps in some of them.
-                level, colour = _quantile(levels, size, 0.25), _quantile([s.rho for s in first], size, 0.5)
-            else:
-                parts = None if common else mixture_of(begun)
-                level = float(np.sqrt(np.average(np.square(levels), weights=size)))
-                colour = float(np.average([s.rho for s in first], weights=size))
-            source = "rest at the start"
-        elif rest:
-            # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
-            level = _quantile([s.level for s in rest], [s.size for s in rest], 0.25)
-            colour = _quantile([s.rho for s in rest], [s.size for s in rest], 0.5)
-            source = "quiet stretches"
-        else:
-            level, colour = (float(np.median(jumps)) if jumps else 0.0), 0.0
-        if parts is not None:
-            level, colour, white[group] = parts
-        rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
-        sigma[group] = max(level, rounding, NOISE.noise_floor_share * extent, 1e-12)
-        rho[group] = min(colour, NOISE.largest_correlation) if colour > NOISE.white_correlation else 0.0
+    seen = [_seen(found, group, float(given[group[0]])) for group in column_groups(found[0][1])]
+    mixed = [s for s in seen if s.first and not s.unlike] if common is None else []
+    parts = mixtures_of([s.begun for s in mixed])
+    for s in seen:
+        level, colour, source = s.level()
+        two = parts[mixed.index(s)] if s in mixed else None
+        if two is not None:
+            level, colour, white[s.group] = two
+        sigma[s.group] = max(level, s.rounding, NOISE.noise_floor_share * s.extent, 1e-12)
+        rho[s.group] = min(colour, NOISE.largest_correlation) if colour > NOISE.white_correlation else 0.0
     return ChannelNoise(sigma, rho, source, common=common, white=white)
+
+
+@dataclass(eq=False)
+class _Seen:
+    """What recordings show of the noise of one quantity, the columns ``group``. ``first``: rests at the start, whose
+    values and times are ``begun``; ``rest``: other ones; ``jumps``: noise by differences; ``extent``: largest range;
+    ``rounding``: noise of their steps."""
+
+    group: np.ndarray
+    first: list[Stretch] = field(default_factory=list)
+    rest: list[Stretch] = field(default_factory=list)
+    begun: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+    jumps: list[float] = field(default_factory=list)
+    extent: float = 0.0
+    rounding: float = 0.0
+
+    @property
+    def unlike(self) -> bool:
+        """Whether something still swings or creeps in some of the rests at the start."""
+        levels = [s.level for s in self.first]
+        return max(levels) > NOISE.unlike_rests_ratio * min(levels)
+
+    def level(self) -> tuple[float, float, str]:
+        """Standard deviation, correlation, and how they were found."""
+        if self.first:
+            size = [s.size for s in self.first]
+            levels, colours = [s.level for s in self.first], [s.rho for s in self.first]
+            if self.unlike:
+                return _quantile(levels, size, 0.25), _quantile(colours, size, 0.5), "rest at the start"
+            level = float(np.sqrt(np.average(np.square(levels), weights=size)))
+            return level, float(np.average(colours, weights=size)), "rest at the start"
+        if self.rest:
+            # Slow decay within a stretch adds to its scatter and to its colour: the quieter half is the noise.
+            size = [s.size for s in self.rest]
+            level = _quantile([s.level for s in self.rest], size, 0.25)
+            return level, _quantile([s.rho for s in self.rest], size, 0.5), "quiet stretches"
+        return (float(np.median(self.jumps)) if self.jumps else 0.0), 0.0, FROM_DIFFERENCES
+
+
+def _seen(found: Sequence[tuple[Run, Measured]], group: np.ndarray, declared: float) -> _Seen:
+    """What recordings show of the noise of the columns ``group``, which is ``declared`` by the rig."""
+    out = _Seen(group)
+    for run, measured in found:
+        values = measured.values[:, group]
+        values = values[:, np.isfinite(values).any(axis=0)]
+        if not values.size:
+            continue
+        out.extent = max(out.extent, float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))))
+        out.jumps += by_differences(values, measured.t)
+        at = in_sampling_intervals(measured.t)
+        for stretch, scatter in rests(run, values, measured.t, declared):
+            (out.first if stretch[0] == 0 else out.rest).append(scatter)
+            if stretch[0] == 0:
+                out.begun.append((without_mistakes(values[stretch], at[stretch]), measured.t[stretch]))
+    out.rounding = common_step(column for _, m in found for column in m.values[:, group].T) / np.sqrt(12.0)
+    return out
 
 
 def _common(found: Sequence[tuple[Run, Measured]], declared: float) -> CommonMode | None:

@@ -6,10 +6,12 @@ correlation of a column y at rest and X = (1, t, t^2),
 
     -2 log L = (n - 3) log s^2 + RSS / s^2 + log |K| + log |X^T K^-1 X|,
 
-summed over all stretches and columns, which share s, rho and the share that is white. A noise with one part only is
-the simpler one: a second part has to be worth ``NOISE.white_part_gain``. What is slow is known badly from short rests,
-and its most probable size is on average half of what it is, so means over the posterior are taken: of both variances,
-and of the variance of the mean of many samples, from which the correlation follows.
+summed over all stretches and columns, which share rho and the share that is white, those of one quantity s as well.
+Forces and torques are sums of the signals of the same strain gauges, so that their noise has one spectrum, unless two
+are worth ``NOISE.white_part_gain`` more. A noise with one part only is the simpler one: a second part has to be worth
+as much for each quantity. What is slow is known badly from short rests, and its most probable size is on average half
+of what it is, so means over the posterior are taken: of both variances, and of the variance of the mean of many
+samples, from which the correlation follows.
 """
 
 from __future__ import annotations
@@ -35,32 +37,49 @@ class Mixture(NamedTuple):
     white: float
 
 
-def mixture_of(stretches: Sequence[tuple[np.ndarray, np.ndarray]]) -> Mixture | None:
-    """The parts of the noise of stretches at rest, each values ``(n, m)``, NaN where there is none, and times [s]
-    ``(n,)``; None where one part explains it as well."""
-    chosen = [(_some(values), t) for values, t in stretches]
-    chosen = [(values, t) for values, t in chosen if values.size]
-    if not chosen:
-        return None
+Rests = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Stretches at rest, each values ``(n, m)``, NaN where there is none, and times [s] ``(n,)``."""
 
+
+def mixtures_of(quantities: Sequence[Rests]) -> list[Mixture | None]:
+    """The parts of the noise of quantities of one sensor at rest; None of one that has one part, which explains it as
+    well. They have one spectrum where several do not explain them better."""
+    chosen = [[(_some(values), t) for values, t in rests] for rests in quantities]
+    chosen = [[(values, t) for values, t in rests if values.size] for rests in chosen]
+    known = [k for k, rests in enumerate(chosen) if rests]
+    found: list[Mixture | None] = [None] * len(quantities)
     colours = np.array([0.0, *np.linspace(0.05, NOISE.largest_correlation, 20)])
-    alone = float(_loss(chosen, colours, np.zeros(len(colours)))[0].min())
+    one = np.array([_loss(chosen[k], colours, np.zeros(len(colours)))[0] for k in known])
     rho, white = (grid.ravel() for grid in np.meshgrid(COLOURS, SHARES))
-    found, variance = _loss(chosen, rho, white)
-    if alone - float(found.min()) < 2.0 * NOISE.white_part_gain:
-        return None
-    found += prior_loss(rho)
-    weight = np.exp(-0.5 * (found - found.min()))
-    weight /= weight.sum()
+    of_two = [_loss(chosen[k], rho, white) for k in known]
+    two, variances = (np.array([pair[k] for pair in of_two]) for k in (0, 1))
+    gain = 2.0 * NOISE.white_part_gain
+
+    def least(which: list[int]) -> float:
+        return float(min(one[which].sum(axis=0).min(), two[which].sum(axis=0).min()))
+
+    whole = list(range(len(known)))
+    apart = len(known) > 1 and least(whole) - sum(least([k]) for k in whole) > gain
+    for group in [[k] for k in whole] if apart else [whole] if whole else []:
+        loss = two[group].sum(axis=0)
+        if float(one[group].sum(axis=0).min() - loss.min()) < gain * len(group):
+            continue
+        loss = loss + prior_loss(rho)
+        weight = np.exp(-0.5 * (loss - loss.min()))
+        for k in group:
+            found[known[k]] = _mean(weight / weight.sum(), variances[k], rho, white)
+    return found
+
+
+def _mean(weight: np.ndarray, variance: np.ndarray, rho: np.ndarray, white: np.ndarray) -> Mixture:
+    """The parts that have the mean variances, and the mean long-run variance, with weights ``(g,)``."""
     of_white, of_coloured = float(weight @ (variance * white)), float(weight @ (variance * (1.0 - white)))
     slow = float(weight @ (variance * (1.0 - white) * (1.0 + rho) / (1.0 - rho))) / of_coloured
     whole = of_white + of_coloured
     return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), NOISE.largest_correlation), of_white / whole)
 
 
-def _loss(
-    stretches: Sequence[tuple[np.ndarray, np.ndarray]], rho: np.ndarray, white: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _loss(stretches: Rests, rho: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """-2 log L at the best variance, and that, for correlations and white shares ``(g,)`` each."""
     squares, logs, number = np.zeros(len(rho)), np.zeros(len(rho)), 0
     degree = NOISE.trend_degree + 1

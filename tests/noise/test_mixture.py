@@ -7,7 +7,7 @@ import pytest
 
 from sim_core.rigs.trajectory import PoseTrajectory
 from sysid.noise.estimate import estimate_noise
-from sysid.noise.mixture import _correlated, mixture_of
+from sysid.noise.mixture import Mixture, _correlated, mixtures_of
 from sysid.noise.whitening import whiten
 from sysid.observations.observations import Measured, Run
 
@@ -29,8 +29,37 @@ def rests(seed: int, white: float, coloured: float, rho: float) -> list[tuple[np
     return [(noisy(rng, 90, 3, white, coloured, rho) + rng.normal(size=3) + 3.0 * t[:, None], t) for _ in range(4)]
 
 
+def only(rests: list[tuple[np.ndarray, np.ndarray]]) -> Mixture | None:
+    """The parts of one quantity alone."""
+    return mixtures_of([rests])[0]
+
+
+def test_forces_and_torques_have_one_spectrum() -> None:
+    """In one rest one of them alone may not show both parts; with another one in two rests they do more often, each
+    with a size of its own. Exactly the parts of twice the columns are found where both are of one size. Where they have
+    none in common, each has its own."""
+    short = [[rests(seed, 0.5, 0.8, 0.95)[:1], rests(seed + 100, 5e-3, 8e-3, 0.95)[:2]] for seed in range(12)]
+    alone = [only(quantity) for both in short for quantity in both]
+    together = [m for both in short for m in mixtures_of(both)]
+    assert sum(m is None for m in alone) > 2 * sum(m is None for m in together)
+    for force, torque in zip(together[::2], together[1::2], strict=True):
+        if force is not None and torque is not None:
+            assert force.sigma / torque.sigma == pytest.approx(100.0, rel=0.5)
+            assert force.rho == pytest.approx(torque.rho, abs=0.03)
+    for seed in range(4):
+        mixed, coloured = mixtures_of([rests(seed, 0.5, 0.8, 0.95), rests(seed + 50, 0.0, 1.0, 0.3)])
+        assert mixed is not None and mixed.rho > 0.9 and coloured is None
+    one, other = rests(3, 0.5, 0.8, 0.95), rests(4, 0.5, 0.8, 0.95)
+    whole = only([(np.hstack([a, b]), t) for (a, t), (b, _) in zip(one, other, strict=True)])
+    apart = [m for m in mixtures_of([one, other]) if m is not None]
+    assert whole is not None and len(apart) == 2
+    assert np.mean([m.sigma for m in apart]) == pytest.approx(whole.sigma, rel=0.05)
+    assert np.mean([m.rho for m in apart]) == pytest.approx(whole.rho, abs=0.01)
+    assert np.mean([m.white for m in apart]) == pytest.approx(whole.white, abs=0.05)
+
+
 def test_both_parts_are_found_in_short_rests() -> None:
-    found = [mixture_of(rests(seed, 0.5, 0.8, 0.95)) for seed in range(8)]
+    found = [only(rests(seed, 0.5, 0.8, 0.95)) for seed in range(8)]
     kept = [m for m in found if m is not None]
     assert len(kept) == len(found)
     assert np.median([m.white for m in kept]) == pytest.approx(0.25 / 0.89, abs=0.05)
@@ -40,7 +69,7 @@ def test_both_parts_are_found_in_short_rests() -> None:
 
 @pytest.mark.parametrize(("white", "coloured", "rho"), [(1.0, 0.0, 0.9), (0.0, 1.0, 0.6), (0.0, 1.0, 0.95)])
 def test_one_part_is_not_made_two(white: float, coloured: float, rho: float) -> None:
-    assert [mixture_of(rests(seed, white, coloured, rho)) for seed in range(8)] == [None] * 8
+    assert [only(rests(seed, white, coloured, rho)) for seed in range(8)] == [None] * 8
 
 
 def test_the_filter_weighs_values_by_the_covariance_of_both_parts() -> None:
