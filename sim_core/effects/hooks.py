@@ -1,7 +1,7 @@
 """The interfaces through which an effect acts, each with its value and all derivatives that gradients need.
 
-An effect derives from one of them (or from several, where one hypothesis has several places). Every method below is
-abstract: an effect that lacks a derivative cannot be made, and the registry says which one is missing.
+An effect derives from one of them (or from several, where one hypothesis has several places). Methods without a body
+are abstract: an effect that lacks one cannot be made, and the registry says which one is missing.
 
 | interface | what it changes | who calls it |
 | --- | --- | --- |
@@ -350,16 +350,21 @@ class Additive(ReadingMap):
         return weights
 
 
+COMPLEX_STEP = 1e-30
+"""Imaginary step of derivatives of analytic functions. Nothing is subtracted, so they are exact to round-off."""
+
+
 class Pointwise(ReadingMap):
     """A sensor that changes each point by itself: ``(..., m)`` to ``(..., m)``."""
 
     @abstractmethod
     def point(self, channel: Channel, points: Array, values: Values) -> Array:
-        """What is reported of points ``(..., m)``."""
+        """What is reported of points ``(..., m)``, as an analytic function: it is given complex numbers too."""
 
-    @abstractmethod
     def slope(self, channel: Channel, points: Array, values: Values) -> Array:
-        """Its derivative by the points ``(..., m, m)``."""
+        """Its derivative by the points ``(..., m, m)``, by complex steps (Squire & Trapp, SIAM Review 40, 1998)."""
+        steps = 1j * COMPLEX_STEP * np.eye(points.shape[-1])
+        return np.stack([self.point(channel, points + s, values).imag / COMPLEX_STEP for s in steps], axis=-1)
 
     def read(self, channel: Channel, readings: Array, values: Values) -> Array:
         return self.point(channel, readings, values)
