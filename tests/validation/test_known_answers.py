@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sim_core.errors import ConfigError
-from sim_core.solve.modes import linear_response, natural_vibrations
 from sim_core.solve.step import NewtonSettings, advance
 from sim_core.solve.system import System
 from sysid.validation.elasticas import HEAVY, TIP, heavy_strip, tip_loaded_strip
@@ -21,6 +20,7 @@ from sysid.validation.obstacles import (
 from sysid.validation.planar_elastica import heavy, tip_loaded
 from sysid.validation.plates import LAMBDA, SAG, frequencies, plate, sag
 from sysid.validation.shells import HEMISPHERE, SLIT, hemisphere, slit_annulus
+from sysid.validation.small_motions import linear_response, natural_vibrations
 from sysid.validation.specimens import rest
 
 
