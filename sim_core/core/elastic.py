@@ -80,13 +80,13 @@ def hinges(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
 
     def coupled(parts: list[np.ndarray]) -> np.ndarray:
         """On the pattern, of stiffnesses ``(m, 3, 3)`` of the triangles of all terms."""
+        if not any(part.any() for part in parts):
+            return np.zeros(len(rows))
         blocks = []
         for term, part in zip(terms, parts, strict=True):
             starts = np.arange(len(part) + 1)
             middle = sp.bsr_matrix((part, starts[:-1], starts), shape=(3 * len(part),) * 2)
             blocks.append(term.operator.T @ (middle @ term.operator))
-        if not blocks:
-            return np.zeros(0)
         return np.asarray(sp.block_diag(blocks).tocsr()[rows, pattern.indices]).ravel()
 
     stiffness = [t.sizes[:, None, None] * t.stiffness for t in terms]
