@@ -165,11 +165,10 @@ class MaterialFormula:
     def _in_numpy(self, layout: PointLayout, rows: np.ndarray, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What points respond ``(n, 1 + k + k^2 + states)``, and how stress and new internal variables change along
         ``changes`` ``(m, n, inputs)``."""
-        found = [
-            at_points(lambda points, by=change: self._jets(layout, rows[points], by[points]), len(rows))  # type: ignore[misc]
-            for change in changes
-        ]
-        return found[0][0].T, np.stack([pushed.T for _, pushed in found])
+        count, n = changes.shape[:2]  # all at once: what it costs are calls
+        each, by = np.tile(rows, (count, 1)), changes.reshape(count * n, -1)
+        whole, pushed = at_points(lambda points: self._jets(layout, each[points], by[points]), count * n)
+        return whole[:, :n].T, np.moveaxis(pushed.reshape(-1, count, n), 0, -1)
 
     def _jets(self, layout: PointLayout, rows: np.ndarray, change: np.ndarray) -> list[np.ndarray]:
         """What points respond, and how that changes ``(., n)``; directions of the jets: the strains, and the change."""

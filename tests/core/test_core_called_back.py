@@ -53,7 +53,7 @@ def test_laws_that_are_called_back_make_the_rollouts_and_derivatives_of_compiled
     poses = PRESSED if gel else DRAWN
     names = [f"effects.{name}.{p.name}" for p in effect.parameters][:2] + ["gripper.offset_z_m"]
     along, found = directions(rig, names), []
-    times = TIMES if name in TOUCHING else TIMES[:3]
+    times = TIMES if name in TOUCHING else TIMES[:5]
     for compiler in (True, False):
         if not compiler:
             request.getfixturevalue("no_compiler")
