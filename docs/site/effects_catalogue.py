@@ -51,7 +51,7 @@ def _section(effect: Effect) -> str:
     elif effect.separated_by:
         lines += [f"**To make sure of it.** {effect.separated_by}", ""]
     passive = "It can only store or take up energy." if effect.passive else "It may give energy."
-    lines += [f"It needs {effect.needs} and follows the {effect.follows}. {passive}", ""]
+    lines += [f"It needs {effect.scope.needs} and follows the {effect.follows}. {passive}", ""]
     if effect.source:
         lines += [f"Source: {effect.source}.", ""]
     if formula := inspect.cleandoc(sys.modules[type(effect).__module__].__doc__ or ""):

@@ -11,11 +11,11 @@ import numpy as np
 
 from sim_core.effects import EffectParameter
 from sim_core.effects.base import Values
-from sim_core.effects.hooks import Channel, Pointwise
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.hooks import Channel, Linear
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 
-class TorqueLeak(Pointwise):
+class TorqueLeak(Linear):
     """Cross-talk from the torque about z to the force along z."""
 
     name = "torque_leak"
@@ -25,23 +25,14 @@ class TorqueLeak(Pointwise):
     source = "Calibration matrices of multi-axis force sensors"
     slot = "wrench sensor"
     follows = "sensor"
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     separated_by = "Turn the object at constant depth."
     parameters = (
         EffectParameter("leak_per_m", "1/m", -100.0, 100.0, (5.0, -5.0), 0.0, False, 10.0, "force over torque"),
     )
     example = {"leak_per_m": 10.0}
 
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(name for name, sensor in rig.sensors.items() if isinstance(sensor, WrenchSensor))
-
-    def _matrix(self, leak: float) -> np.ndarray:
+    def matrix(self, channel: Channel, values: Values) -> np.ndarray:
         matrix = np.eye(6)
-        matrix[2, 5] = leak
+        matrix[2, 5] = values["leak_per_m"]
         return matrix
-
-    def point(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        return np.asarray(points @ self._matrix(values["leak_per_m"]).T)
-
-    def slope(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        return np.broadcast_to(self._matrix(values["leak_per_m"]), (*points.shape, 6))

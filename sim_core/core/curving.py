@@ -56,7 +56,7 @@ def curving_of(scene: Scene, pairs: Mapping[str, np.ndarray]) -> Curving:
     own: dict[str, tuple[slice, slice]] = {}
     triangle = hinge = 0
     for term in layout.bendings:
-        mine, count = pairs.get(term.name, _seen(term)), len(term.areas)
+        mine, count = pairs.get(term.name, _seen(term)), len(term.sizes)
         weights.append(
             np.stack([np.asarray(term.operator[3 * mine[0] + k, mine[1]]).ravel() for k in range(3)], axis=-1)
         )

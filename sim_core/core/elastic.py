@@ -32,12 +32,12 @@ def elastic_slopes(
     found: list[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = []
     for quantity, slope in by.of(term.name):
         if quantity == "stiffness_damping_s":
-            found.append((slope, None, np.ones(len(term.areas))))
+            found.append((slope, None, np.ones(len(term.sizes))))
         elif term.grading is not None and quantity in term.grading.numbers:
-            grown = term.areas * (0.0 if term.grading.changes else term.grading.by(quantity))
+            grown = term.sizes * (0.0 if term.grading.changes else term.grading.by(quantity))
             found.append((slope, grown[:, None, None] * term.stiffness, None))
         else:
-            found.append((slope, term.areas[:, None, None] * term.stiffness_by(quantity), None))
+            found.append((slope, term.sizes[:, None, None] * term.stiffness_by(quantity), None))
     return found
 
 
@@ -63,7 +63,7 @@ def triangles(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
         "triangle": np.vstack([t.triangles for t in terms] or [np.empty((0, 3))]),
         "hats": np.concatenate([t.hats() for t in terms] or [np.empty((0, 3, 2))]),
         "stretch_stiffness": np.concatenate(
-            [t.areas[:, None, None] * t.stiffness for t in terms] or [np.empty((0, 3, 3))]
+            [t.sizes[:, None, None] * t.stiffness for t in terms] or [np.empty((0, 3, 3))]
         ),
         "stretch_damping": np.concatenate([t.damping for t in terms] or [np.empty(0)]),
         "stretch_blocks": len(columns),
@@ -80,16 +80,16 @@ def hinges(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
 
     def coupled(parts: list[np.ndarray]) -> np.ndarray:
         """On the pattern, of stiffnesses ``(m, 3, 3)`` of the triangles of all terms."""
+        if not any(part.any() for part in parts):
+            return np.zeros(len(rows))
         blocks = []
         for term, part in zip(terms, parts, strict=True):
             starts = np.arange(len(part) + 1)
             middle = sp.bsr_matrix((part, starts[:-1], starts), shape=(3 * len(part),) * 2)
             blocks.append(term.operator.T @ (middle @ term.operator))
-        if not blocks:
-            return np.zeros(0)
         return np.asarray(sp.block_diag(blocks).tocsr()[rows, pattern.indices]).ravel()
 
-    stiffness = [t.areas[:, None, None] * t.stiffness for t in terms]
+    stiffness = [t.sizes[:, None, None] * t.stiffness for t in terms]
     none = [np.zeros_like(s) for s in stiffness]
     parts: dict[int, list[np.ndarray]] = {}
     for at, term in enumerate(terms):
@@ -154,7 +154,7 @@ def tetrahedra(layout: Layout, by: NumberSlopes) -> dict[str, Any]:
         "tetrahedra": count,
         "tetrahedron": np.vstack([t.tets for t in terms] or [np.empty((0, 10))]),
         "gel_gradient": np.concatenate([t.gradients for t in terms] or [np.empty((0, 10, 3))]),
-        "gel_volume": np.concatenate([t.weights for t in terms] or [np.empty((0, 4))]),
+        "gel_volume": np.concatenate([t.sizes for t in terms] or [np.empty((0, 4))]),
         "gel_number": np.concatenate(numbers or [np.empty((0, 4))]),
         "gel_blocks": len(columns),
         "gel_of": columns,

@@ -23,7 +23,9 @@ def failure_of(
     ``there`` [m] ``(n, 3)`` and did what ``counts`` say; ``terms``: names of contacts."""
     failure = int(counts["failure"])
     if failure == TURNED_OVER:
-        return min(volumes_left(scene, before, there, t), key=lambda found: found.ratio).refused()
+        return min(
+            volumes_left(scene, np.stack([before, there]), np.array([t])), key=lambda found: found.ratio
+        ).refused()
     if failure == NOT_FACTORISED:
         return ConvergenceError(
             "The stiffness matrix cannot be factorised.",

@@ -13,12 +13,9 @@ from sim_core.core.materials import KINDS, point_laws
 from sim_core.core.mechanics import Mechanics
 from sim_core.core.slopes import NumberSlopes
 from sim_core.energies.bending import Bending
-from sim_core.energies.bending_strain import BendingStrain
 from sim_core.energies.grading import Grading
 from sim_core.energies.membrane import Membrane
-from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.solid_strain import SolidStrain
 
 Graded = Membrane | Bending | NeoHookean
 
@@ -28,9 +25,9 @@ def changing(layout: Layout) -> list[tuple[int, int, Graded, Grading]]:
     its factors."""
     found: list[tuple[int, int, Graded, Grading]] = []
     groups: dict[type, Sequence[Graded]] = {
-        MembraneStrain: layout.membranes,
-        BendingStrain: layout.bendings,
-        SolidStrain: layout.gels,
+        Membrane: layout.membranes,
+        Bending: layout.bendings,
+        NeoHookean: layout.gels,
     }
     for kind, terms in groups.items():
         first = 0
@@ -109,10 +106,10 @@ def _couplings(
         for (_, _, term, _), start in zip(parts, starts, strict=False):
             if term is not bending:
                 continue
-            stiffness = bending.areas[:, None, None] * bending.stiffness
+            stiffness = bending.sizes[:, None, None] * bending.stiffness
             columns = [stiffness, bending.damping[:, None, None] * stiffness]
             columns += list(_changes(bending, stiffness, by, bend_of))
-            for t in range(len(bending.areas)):
+            for t in range(len(bending.sizes)):
                 rows = bending.operator[3 * t : 3 * t + 3]
                 hinges = np.unique(rows.indices)
                 b = rows[:, hinges].toarray()

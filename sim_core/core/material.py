@@ -21,7 +21,7 @@ import numpy as np
 
 from sim_core.core.jets import Jet, Tensor, at_points
 from sim_core.core.lowering import Library
-from sim_core.core.pointwise import array_at, called_back, compiled, for_jets, raise_what_was_raised
+from sim_core.core.pointwise import array_at, called_back, compiled, for_jets
 
 __all__ = ["LANES", "MaterialFormula", "PointLayout"]
 
@@ -86,10 +86,9 @@ class PointLayout:
         """Numbers of a row."""
         return 2 * self.size + self.size**2 + self.states + 1 + len(self.numbers)
 
-    def rows(self, given: Mapping[str, Any], count: int, lead: tuple[int, ...] = ()) -> np.ndarray:
-        """Rows ``(*lead, count, inputs)`` of arrays ``(..., count, *shape)``, or single numbers; what is not given is
-        zero."""
-        out = np.zeros((*lead, count, self.inputs))
+    def rows(self, given: Mapping[str, Any], count: int) -> np.ndarray:
+        """Rows ``(count, inputs)`` of arrays ``(count, *shape)``, or single numbers; what is not given is zero."""
+        out = np.zeros((count, self.inputs))
         for name, (at, shape) in self.places.items():
             if name in given:
                 value, size = np.asarray(given[name], dtype=float), int(np.prod(shape))
@@ -108,40 +107,6 @@ class MaterialFormula:
         code = function.__code__
         self._arguments = code.co_varnames[: code.co_argcount]
         self._at = functools.cache(self._compile)
-
-    def respond(self, layout: PointLayout, rows: np.ndarray) -> np.ndarray:
-        """Energy, stress, tangent and new internal variables of points ``(n, 1 + k + k^2 + states)``, from rows of what
-        they see ``(n, inputs)``."""
-        found = self._at(layout)
-        out, new = (np.empty((len(rows), size)) for size in (1 + layout.size + layout.size**2, layout.states))
-        found.respond(len(rows), rows.ctypes.data, out.ctypes.data)
-        found.remember(len(rows), rows.ctypes.data, new.ctypes.data)
-        raise_what_was_raised()
-        return np.concatenate([out, new], axis=1)
-
-    def stress(self, layout: PointLayout, rows: np.ndarray) -> np.ndarray:
-        """Energy and stress alone ``(n, 1 + k)``."""
-        found = self._at(layout)
-        out = np.empty((len(rows), 1 + layout.size))
-        found.stress(len(rows), rows.ctypes.data, out.ctypes.data)
-        raise_what_was_raised()
-        return out
-
-    def push(self, layout: PointLayout, rows: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """Changes of stress and new internal variables ``(m, n, k + states)`` along m ``changes`` of what points see
-        ``(m, n, inputs)``."""
-        found, k = self._at(layout), layout.size
-        parts = []
-        for first in range(0, len(changes), LANES):
-            some = np.zeros((*rows.shape, LANES))
-            part = changes[first : first + LANES]
-            some[..., : len(part)] = np.moveaxis(part, 0, -1)
-            stress, new = (np.empty((len(rows), size, LANES)) for size in (k, layout.states))
-            found.push_stress(len(rows), rows.ctypes.data, some.ctypes.data, stress.ctypes.data)
-            found.push_memory(len(rows), rows.ctypes.data, some.ctypes.data, new.ctypes.data)
-            raise_what_was_raised()
-            parts.append(np.moveaxis(np.concatenate([stress, new], axis=1), -1, 0)[: len(part)])
-        return np.concatenate(parts) if parts else np.empty((0, len(rows), k + layout.states))
 
     def addresses(self, layout: PointLayout) -> list[int]:
         """Where its :data:`FUNCTIONS` of include/material_point.hpp are."""
@@ -172,12 +137,7 @@ class MaterialFormula:
         )
         headers = ("small.hpp", "dual.hpp", "pack.hpp", "lanes.hpp", "material_point.hpp")
         loaded = compiled(law, library.text(), main, headers, "an energy, and the new internal variables after it")
-        if loaded is None:
-            return self._by_numpy(layout)
-        for name, count in FUNCTIONS.items():
-            function = getattr(loaded, name)
-            function.argtypes, function.restype = [ctypes.c_long, *[ctypes.c_void_p] * count], None
-        return loaded
+        return self._by_numpy(layout) if loaded is None else loaded
 
     def _by_numpy(self, layout: PointLayout) -> SimpleNamespace:
         """The same functions in numpy."""
@@ -203,12 +163,12 @@ class MaterialFormula:
         return SimpleNamespace(**{name: called_back(f, *kinds[name]) for name, f in functions.items()})
 
     def _in_numpy(self, layout: PointLayout, rows: np.ndarray, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As :meth:`respond` and :meth:`push`."""
-        found = [
-            at_points(lambda points, by=change: self._jets(layout, rows[points], by[points]), len(rows))  # type: ignore[misc]
-            for change in changes
-        ]
-        return found[0][0].T, np.stack([pushed.T for _, pushed in found])
+        """What points respond ``(n, 1 + k + k^2 + states)``, and how stress and new internal variables change along
+        ``changes`` ``(m, n, inputs)``."""
+        count, n = changes.shape[:2]  # all at once: what it costs are calls
+        each, by = np.tile(rows, (count, 1)), changes.reshape(count * n, -1)
+        whole, pushed = at_points(lambda points: self._jets(layout, each[points], by[points]), count * n)
+        return whole[:, :n].T, np.moveaxis(pushed.reshape(-1, count, n), 0, -1)
 
     def _jets(self, layout: PointLayout, rows: np.ndarray, change: np.ndarray) -> list[np.ndarray]:
         """What points respond, and how that changes ``(., n)``; directions of the jets: the strains, and the change."""

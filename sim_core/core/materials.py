@@ -14,14 +14,14 @@ from sim_core.core.material import MaterialFormula, PointLayout
 from sim_core.core.mechanics import Mechanics
 from sim_core.core.slopes import NumberSlopes
 from sim_core.energies.bending import Bending
-from sim_core.energies.bending_strain import BendingStrain
-from sim_core.energies.membrane_strain import MembraneStrain
+from sim_core.energies.membrane import Membrane
+from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.plastic_flow import LAW as PLASTIC_FLOW
-from sim_core.energies.solid_strain import POINTS, SolidStrain
+from sim_core.energies.strain import SheetStrain, Strain
 from sim_core.energies.strain_law import StrainLaws
 
-KINDS: dict[type, int] = {MembraneStrain: 0, BendingStrain: 1, SolidStrain: 2}
-"""Kinds of elements, as of include/strain_laws.hpp."""
+KINDS: dict[type, int] = {Membrane: 0, Bending: 1, NeoHookean: 2}
+"""Kinds of elements by their terms, as of include/strain_laws.hpp."""
 
 PLASTIC = PointLayout(
     3,
@@ -39,7 +39,7 @@ class PointLaw:
 
     term: str
     prefix: str
-    measure: MembraneStrain | BendingStrain | SolidStrain
+    measure: Strain
     formula: MaterialFormula
     layout: PointLayout
     numbers: Mapping[str, Any]
@@ -70,7 +70,7 @@ def point_laws(scene: Mechanics) -> list[PointLaw]:
             numbers, shares = (
                 dict(zip(PLASTIC.numbers, v, strict=True)) for v in (term.flow_numbers, term.flow_shares)
             )
-            found.append(PointLaw(term.name, "", BendingStrain(term), PLASTIC_FLOW, PLASTIC, numbers, shares))
+            found.append(PointLaw(term.name, "", SheetStrain(term), PLASTIC_FLOW, PLASTIC, numbers, shares))
     return found
 
 
@@ -80,7 +80,7 @@ def bent_by_laws(scene: Mechanics) -> list[tuple[Bending, int]]:
     for term in layout_of(scene).bendings:
         if any(own is term for own in owners):
             found.append((term, first))
-            first += len(term.whole_areas)
+            first += len(term.whole_sizes)
     return found
 
 
@@ -94,7 +94,7 @@ def materials(scene: Mechanics, layout: Layout, by: NumberSlopes) -> dict[str, A
     flat = [block for own in blocks for block in own.items()]
     return {
         "material_laws": len(laws),
-        "material_kind": [KINDS[type(law.measure)] for law in laws],
+        "material_kind": [KINDS[type(law.measure.own)] for law in laws],
         "material_inputs": [law.layout.inputs for law in laws],
         "material_states": [law.layout.states for law in laws],
         "material_function": [law.formula.addresses(law.layout) for law in laws],
@@ -114,9 +114,8 @@ def materials(scene: Mechanics, layout: Layout, by: NumberSlopes) -> dict[str, A
 def _elements(law: PointLaw, layout: Layout, bent: list[Bending]) -> np.ndarray:
     """Numbers of its points among those of all terms of the kind."""
     kinds: list[list[Any]] = [[*layout.membranes], [*bent], [*layout.gels]]
-    terms = kinds[KINDS[type(law.measure)]]
-    sizes = [POINTS * len(t.tets) if isinstance(law.measure, SolidStrain) else len(t.whole_areas) for t in terms]
-    first = sum(sizes[: _place(law.measure.own, terms)])
+    terms = kinds[KINDS[type(law.measure.own)]]
+    first: int = sum(t.whole_sizes.size for t in terms[: _place(law.measure.own, terms)])
     return first + np.arange(len(law.measure.areas))
 
 
@@ -136,11 +135,11 @@ def _blocks(law: PointLaw, by: NumberSlopes) -> dict[int, np.ndarray]:
 
 def _changes(law: PointLaw, quantity: str) -> Iterator[np.ndarray]:
     """What one number of its term changes, if anything."""
-    measure, count = law.measure, len(law.measure.areas)
+    measure, grading, count = law.measure, law.measure.own.grading, len(law.measure.areas)
     change = np.zeros((count, law.layout.inputs + 1))
     argument = quantity.removeprefix(law.prefix)
-    if measure.grading is not None and quantity in measure.grading.numbers:
-        change[:, -1] = 0.0 if measure.grading.changes else measure.at_points(measure.grading.by(quantity))
+    if grading is not None and quantity in grading.numbers:
+        change[:, -1] = 0.0 if grading.changes else measure.at_points(grading.by(quantity))
         yield change
     elif any(quantity == own.name for own in measure.quantities):
         change[:, :-1] = law.layout.rows({"d": measure.stiffness_by(quantity)}, count)
@@ -163,7 +162,7 @@ def _curvatures(bent: list[Bending], layout: Layout) -> dict[str, Any]:
         hinges.append(int(firsts[_place(term, layout.bendings)]) + around.indices)
         weights.append(np.stack([np.asarray(p[rows, around.indices]).ravel() for p in parts], axis=-1))
     return {
-        "bent": sum(len(t.whole_areas) for t in bent),
+        "bent": sum(len(t.whole_sizes) for t in bent),
         "bent_start": np.concatenate(starts),
         "bent_hinge": np.concatenate(hinges),
         "bent_weight": np.concatenate(weights),

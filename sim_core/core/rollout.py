@@ -271,12 +271,13 @@ class CoreRollout(CoreState):
 
     def press(self, chunk: Chunk) -> None:
         """Take note of what is left of gels' volumes."""
-        for k, x in enumerate(chunk.at.x, chunk.steps.start):
-            if k:
-                for found in volumes_left(self.scene, self._seen, x, float(self.times[k - 1]) - self.began):
-                    if found.body not in self.least_volumes or found.ratio < self.least_volumes[found.body].ratio:
-                        self.least_volumes[found.body] = found
-            self._seen = x
+        start, path = chunk.steps.start, chunk.at.x
+        if start:
+            times = self.times[start - 1 : chunk.steps.stop - 1] - self.began
+            for found in volumes_left(self.scene, np.concatenate([self._seen[None], path]), times):
+                if found.body not in self.least_volumes or found.ratio < self.least_volumes[found.body].ratio:
+                    self.least_volumes[found.body] = found
+        self._seen = path[-1]
 
     def _moves(self, warm_start: NodePath) -> np.ndarray | None:
         """How nodes move in each step of a rollout near by ``(t - 1, n, 3)``; None where it has not the same nodes."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import BodyForce
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS, Scope
 
 if TYPE_CHECKING:
     from sim_core.energies.term import Term
@@ -25,16 +25,13 @@ class AirDrag(BodyForce):
     slot = "air"
     follows = "environment"
     passive = True
-    needs = "a sheet, and a solver with inertia"
+    scope = Scope("a sheet, and a solver with inertia", lambda rig: SHEETS.names(rig) if rig.solver.inertia else ())
     twins = ("viscoelastic_sheet",)
     separated_by = "A slow and a fast run of the same motion: drag goes with the square of the speed."
     parameters = (
         EffectParameter("drag_coefficient", "-", 0.0, 20.0, (1.0,), 0.0, False, 1.0, "C_D on the sheet's area"),
     )
     example = {"drag_coefficient": 1.0}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet)) if rig.solver.inertia else ()
 
     def numbers(self, values: Values) -> Mapping[str, float]:
         return {"drag_coefficient": values["drag_coefficient"]}

@@ -19,12 +19,13 @@ This module imports nothing of rigs or scenes.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
+    from sim_core.effects.scopes import Scope
     from sim_core.rigs import Rig
 
 Values = Mapping[str, float]
@@ -139,8 +140,8 @@ class Effect(ABC):
     follows: ClassVar[Factor] = "object"
     passive: ClassVar[bool] = False
     """Whether it can only store or take up energy, never give any that was not put in."""
-    needs: ClassVar[str] = ""
-    """What a rig must have for it, as a noun phrase."""
+    scope: ClassVar[Scope]
+    """What it can act on, and what a rig must have for it."""
     share_of_one: ClassVar[str] = ""
     """The parameter of which all instances on one target together have less than 1, if there is one."""
     lasting: ClassVar[tuple[str, ...]] = ()
@@ -153,9 +154,9 @@ class Effect(ABC):
     example: ClassVar[Values] = {}
     """Values of all parameters at which it shows in a quick press of a card, for tests and demonstrations."""
 
-    @abstractmethod
     def targets(self, rig: Rig) -> tuple[str, ...]:
         """Names of all that the effect can act on in a rig, in the rig's order; none: it does not apply."""
+        return self.scope.names(rig)
 
     def applies(self, rig: Rig) -> bool:
         """Whether the rig has what the effect acts on."""

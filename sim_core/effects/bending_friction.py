@@ -19,8 +19,8 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.scopes import SHEETS
 from sim_core.effects.sheet_stiffening import uniaxial
-from sim_core.rigs import Rig, Sheet
 
 
 def prandtl(e: Any, e_0: Any, d: Any, spring: Any, share: float, slip_curvature_per_m: float) -> Any:
@@ -45,7 +45,7 @@ class BendingFriction(MaterialLaw):
     source = "Brokate & Sprekels, Hysteresis and Phase Transitions, 1996, sec. 2.3 (Prandtl's element)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("bending_plasticity", "viscoelastic_sheet", "hand_backlash")
     separated_by = "Small loops at two speeds: friction makes the same loop in both, and a loop however small the bend."
     parameters = (
@@ -58,9 +58,6 @@ class BendingFriction(MaterialLaw):
     lasting = ("spring",)
     example = {"share": 0.5, "slip_curvature_per_m": 0.5}
     formula = MaterialFormula(prandtl)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (3,)}

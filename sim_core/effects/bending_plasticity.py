@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MechanicsMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
+from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Values as SceneValues
@@ -30,7 +31,7 @@ class BendingPlasticity(MechanicsMap):
     source = "Ortiz & Stainier, Comput. Methods Appl. Mech. Eng. 171, 1999; linear hardening in moment and curvature"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("viscoelastic_sheet",)
     separated_by = "A bend that is held for long and one that is not: what yields keeps the same curvature in both."
     parameters = (
@@ -44,9 +45,6 @@ class BendingPlasticity(MechanicsMap):
     )  # fmt: skip
     lasting = ("plastic_curvature", "accumulated_curvature")
     example = {"yield_curvature_per_m": 1.0, "hardening_ratio": 0.2}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def amend_values(self, rig: Rig, targets: tuple[str, ...], found: SceneValues, values: Values) -> None:
         for name in targets:

@@ -13,8 +13,8 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.scopes import SHEETS
 from sim_core.effects.sheet_stiffening import stretched
-from sim_core.rigs import Rig, Sheet
 
 
 def bent(e: Any, d: Any, coefficient_m2: float) -> Any:
@@ -32,7 +32,7 @@ class BendingStiffening(MaterialLaw):
     source = "Clapp, Peng, Ghosh & Eischen, Int. J. Clothing Sci. Tech. 2, 1990"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_stiffening", "sheet_thickness")
     separated_by = "The same deflection at two free lengths: the shorter one is bent more strongly."
     parameters = (
@@ -41,6 +41,3 @@ class BendingStiffening(MaterialLaw):
     parts = ("bending",)
     example = {"coefficient_m2": 0.01}
     formula = MaterialFormula(bent)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -13,7 +13,7 @@ import numpy as np
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.camera_distortion import axis_of
 from sim_core.effects.hooks import Channel, Pointwise
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import CAMERAS
 
 
 class CameraDecentring(Pointwise):
@@ -27,7 +27,7 @@ class CameraDecentring(Pointwise):
     slot = "camera"
     follows = "sensor"
     passive = True
-    needs = "a camera"
+    scope = CAMERAS
     twins = ("camera_distortion", "camera_pose")
     separated_by = "The same motion seen with the object at the four sides of the picture."
     parameters = (
@@ -36,9 +36,6 @@ class CameraDecentring(Pointwise):
     )
     example = {"p1": 0.05, "p2": -0.04}
 
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.cameras)
-
     def point(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
         centre, scale = axis_of(channel)
         x, y = np.moveaxis((points - centre) / scale, -1, 0)
@@ -46,12 +43,3 @@ class CameraDecentring(Pointwise):
         u = 2.0 * p1 * x * y + p2 * (square + 2.0 * x**2)
         v = p1 * (square + 2.0 * y**2) + 2.0 * p2 * x * y
         return np.asarray(points + scale * np.stack([u, v], axis=-1))
-
-    def slope(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        centre, scale = axis_of(channel)
-        x, y = np.moveaxis((points - centre) / scale, -1, 0)
-        p1, p2 = values["p1"], values["p2"]
-        cross = 2.0 * (p1 * x + p2 * y)
-        u = np.stack([2.0 * p1 * y + 6.0 * p2 * x, cross], axis=-1)
-        v = np.stack([cross, 6.0 * p1 * y + 2.0 * p2 * x], axis=-1)
-        return np.asarray(np.eye(2) + np.stack([u, v], axis=-2))

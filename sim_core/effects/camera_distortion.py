@@ -15,7 +15,8 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Pointwise
-from sim_core.rigs import OrthographicCamera, Rig
+from sim_core.effects.scopes import CAMERAS
+from sim_core.rigs import OrthographicCamera
 
 UNIT_M = 0.01
 """Unit of r for orthographic cameras [m]."""
@@ -35,7 +36,7 @@ class CameraDistortion(Pointwise):
     slot = "camera"
     follows = "sensor"
     passive = True
-    needs = "a camera"
+    scope = CAMERAS
     separated_by = "The same motion seen with the object elsewhere in the picture."
     parameters = (
         EffectParameter("k1", "-", -1.0, 1.0, (0.02, -0.02), 0.0, False, 0.05, "share of the radius at r = 1"),
@@ -43,22 +44,11 @@ class CameraDistortion(Pointwise):
     )
     example = {"k1": 0.1, "k2": -0.05}
 
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.cameras)
-
     def point(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
         centre, scale = axis_of(channel)
         away = points - centre
         square = (away**2).sum(axis=-1, keepdims=True) / scale**2
         return np.asarray(points + away * (values["k1"] * square + values["k2"] * square**2))
-
-    def slope(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        centre, scale = axis_of(channel)
-        away = (points - centre) / scale
-        square = (away**2).sum(axis=-1)[..., None, None]
-        outer = away[..., :, None] * away[..., None, :]
-        k1, k2 = values["k1"], values["k2"]
-        return np.asarray((1.0 + k1 * square + k2 * square**2) * np.eye(2) + (2.0 * k1 + 4.0 * k2 * square) * outer)
 
 
 def axis_of(channel: Channel) -> tuple[np.ndarray, float]:

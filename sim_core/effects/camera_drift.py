@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Pointwise
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import CAMERAS
 
 RATES = ("u_px_per_s", "v_px_per_s")
 
@@ -28,7 +28,7 @@ class CameraDrift(Pointwise):
     slot = "camera"
     follows = "session"
     passive = True
-    needs = "a camera"
+    scope = CAMERAS
     twins = ("camera_pose", "viscoelastic_sheet")
     separated_by = "A mark that stands still in the picture."
     parameters = (
@@ -40,16 +40,9 @@ class CameraDrift(Pointwise):
     )
     example = {"u_px_per_s": 2.0, "v_px_per_s": -3.0, "zoom_per_s": 0.02}
 
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.cameras)
-
     def point(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
         camera = channel.rig.cameras[channel.name]
         centre = np.array([camera.cx_px, camera.cy_px])
         since = (channel.stamps + channel.since)[:, None, None]
         speed = np.array([values[name] for name in RATES])
         return np.asarray(points + since * (values["zoom_per_s"] * (points - centre) + speed))
-
-    def slope(self, channel: Channel, points: np.ndarray, values: Values) -> np.ndarray:
-        grown = 1.0 + values["zoom_per_s"] * (channel.stamps + channel.since)
-        return np.asarray(grown[:, None, None, None] * np.eye(2))

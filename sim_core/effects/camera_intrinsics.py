@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from sim_core.effects.base import EffectParameter, Nuisance, Values
 from sim_core.effects.hooks import RigMap
+from sim_core.effects.scopes import CAMERAS
 from sim_core.rigs import OrthographicCamera, Rig
 
 
@@ -21,7 +22,7 @@ class CameraIntrinsics(RigMap):
     slot = "camera"
     follows = "sensor"
     passive = True
-    needs = "a camera"
+    scope = CAMERAS
     twins = ("camera_pose", "camera_distortion")
     separated_by = "A motion of known size across the picture without contact."
     parameters = (
@@ -30,9 +31,6 @@ class CameraIntrinsics(RigMap):
         EffectParameter("cy_px", "px", -1e3, 1e3, (2.0,), 0.0, False, 5.0, "shift of the principal point in v"),
     )
     example = {"scale": 0.02, "cx_px": 3.0, "cy_px": -2.0}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.cameras)
 
     def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
         """Focal lengths together (the scale of an orthographic camera), and the principal point. Where a camera counts

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from sim_core.effects.base import EffectParameter, Nuisance, Values
 from sim_core.effects.hooks import RigMap
+from sim_core.effects.scopes import CAMERAS
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 
@@ -24,7 +25,7 @@ class CameraPose(RigMap):
     slot = "camera"
     follows = "session"
     passive = True
-    needs = "a camera"
+    scope = CAMERAS
     twins = ("tool_offset", "camera_intrinsics")
     separated_by = "A second camera, or the same motion with the tool unmounted and remounted."
     parameters = (
@@ -32,9 +33,6 @@ class CameraPose(RigMap):
         *(EffectParameter(f"r{a}_deg", "deg", -45.0, 45.0, (0.3,), 0.0, False, 1.0, f"turn about {a}") for a in "xyz"),
     )
     example = {"x_m": 0.001, "y_m": -0.002, "z_m": 0.003, "rx_deg": 0.3, "ry_deg": -0.2, "rz_deg": 0.4}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.cameras)
 
     def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
         """As far as the rig says that the pose is not known."""

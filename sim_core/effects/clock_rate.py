@@ -13,6 +13,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import Channel, ClockMap
+from sim_core.effects.scopes import STREAMS
 from sim_core.rigs import Rig, WrenchSensor
 
 
@@ -27,7 +28,7 @@ class ClockRate(ClockMap):
     slot = "clock"
     follows = "session"
     passive = True
-    needs = "a sensor or a camera"
+    scope = STREAMS
     twins = ("stream_delay", "command_lag")
     separated_by = "The same quick motion at the beginning and at the end of a long recording."
     parameters = (
@@ -35,9 +36,6 @@ class ClockRate(ClockMap):
         EffectParameter("vision_rate", "-", -0.5, 0.5, (1e-3,), 0.0, False, 1e-2, "gain of the clock of what is seen"),
     )
     example = {"wrench_rate": 0.05, "vision_rate": -0.08}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return (*rig.sensors, *rig.cameras)
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """One stream at a time, of those that the rig has."""

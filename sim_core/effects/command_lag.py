@@ -17,6 +17,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import CommandMap
+from sim_core.effects.scopes import END_EFFECTORS, Scope
 from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class CommandLag(CommandMap[Past]):
     source = "Siciliano, Sciavicco, Villani & Oriolo, Robotics, 2009, sec. 8.3"
     slot = "robot"
     follows = "robot"
-    needs = "an end effector that is driven by its command"
+    scope = Scope("an end effector that is driven by its command", END_EFFECTORS.names)
     twins = ("stream_delay",)
     separated_by = "Compare the streams with one another: a late clock of one stream leaves the others in time."
     parameters = (
@@ -57,9 +58,6 @@ class CommandLag(CommandMap[Past]):
         ),
     )
     example = {"delay_s": 0.015, "tau_s": 0.03}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.end_effectors)
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """A delay alone, and a first-order response alone; none where poses are measured: they have the lag."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import CommandMap
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import END_EFFECTORS
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Frame
@@ -32,7 +32,7 @@ class CommandScale(CommandMap[np.ndarray]):
     source = "Mooring, Roth & Driels, Fundamentals of Manipulator Calibration, 1991"
     slot = "robot"
     follows = "robot"
-    needs = "an end effector"
+    scope = END_EFFECTORS
     twins = ("end_effector_compliance", "marker_scale", "camera_intrinsics")
     separated_by = "A motion in air along a ruler."
     parameters = tuple(
@@ -40,9 +40,6 @@ class CommandScale(CommandMap[np.ndarray]):
         for n in NAMES
     )
     example = {"scale_x": 0.1, "scale_y": -0.1, "scale_z": 0.08}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.end_effectors)
 
     def begin(self, pose: Frame, values: Values) -> np.ndarray:
         return pose[0]

@@ -17,7 +17,7 @@ from __future__ import annotations
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import NormalLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import CONTACTS
 
 
 def cohesion(gap: float, work_j_m2: float, range_m: float) -> float:
@@ -39,7 +39,7 @@ class ContactAdhesion(NormalLaw):
     source = "Xu & Needleman, Modelling Simul. Mater. Sci. Eng. 1, 1993 (cohesive zone); Maugis 1992 (sphere)"
     slot = "contact"
     passive = True
-    needs = "a contact"
+    scope = CONTACTS
     twins = ("wrench_offset", "gel_relaxation")
     separated_by = "Presses to several depths: the greatest pull is the same for all of them."
     parameters = (
@@ -48,9 +48,6 @@ class ContactAdhesion(NormalLaw):
     )
     example = {"work_j_m2": 0.5, "range_m": 0.0002}
     energy = Law(cohesion)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["range_m"] if values["work_j_m2"] > 0.0 else 0.0

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.contact_adhesion import ContactAdhesion
-from sim_core.rigs import Rig, Rigid
+from sim_core.effects.scopes import Scope
+from sim_core.rigs import Rigid
 
 
 class ContactBonding(ContactAdhesion):
@@ -29,7 +30,10 @@ class ContactBonding(ContactAdhesion):
     )
     signature = "On the way out the measured force is a pull; on the way in it is that of surfaces that do not stick."
     source = "Raous, Cangemi & Cocu, Comput. Methods Appl. Mech. Eng. 177, 1999; Israelachvili 2011, 17.12"
-    needs = "a contact with a rigid body"
+    scope = Scope(
+        "a contact with a rigid body",
+        lambda rig: tuple(c.name for c in rig.contacts if any(isinstance(rig.bodies[b], Rigid) for b in c.between)),
+    )
     twins = ("contact_adhesion", "gel_relaxation")
     separated_by = "Slow approaches: a reversible attraction pulls surfaces together before they touch."
     parameters = (
@@ -37,6 +41,3 @@ class ContactBonding(ContactAdhesion):
         EffectParameter("range_m", "m", 1e-6, 1e-2, (1e-4,), None, True, 1.0, "distance over which surfaces hold on"),
     )
     bonds = True
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts if any(isinstance(rig.bodies[b], Rigid) for b in c.between))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import NormalLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import CONTACTS
 
 
 def attraction(gap: float, pressure_pa: float, range_m: float) -> float:
@@ -31,7 +31,7 @@ class ElectrostaticAttraction(NormalLaw):
     slot = "contact"
     follows = "session"
     passive = True
-    needs = "a contact"
+    scope = CONTACTS
     twins = ("contact_adhesion", "air_drag")
     separated_by = "A slow approach that ends short of contact, before and after the surfaces were ionised or grounded."
     parameters = (
@@ -40,9 +40,6 @@ class ElectrostaticAttraction(NormalLaw):
     )
     example = {"pressure_pa": 60.0, "range_m": 0.001}
     energy = Law(attraction)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["range_m"] if values["pressure_pa"] > 0.0 else 0.0

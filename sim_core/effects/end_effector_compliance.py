@@ -11,6 +11,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MechanicsMap
+from sim_core.effects.scopes import END_EFFECTORS
 from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
@@ -31,15 +32,12 @@ class EndEffectorCompliance(MechanicsMap):
     slot = "robot"
     follows = "robot"
     passive = True
-    needs = "an end effector"
+    scope = END_EFFECTORS
     separated_by = "A press on something rigid, or of another object with the same robot."
     parameters = (
         EffectParameter("compliance_m_per_n", "m/N", 1e-8, 0.1, (1e-4, 2e-3), 0.0, True, 2.5, "displacement per force"),
     )
     example = {"compliance_m_per_n": 0.0002}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.end_effectors)
 
     def amend_values(self, rig: Rig, targets: tuple[str, ...], found: SceneValues, values: Values) -> None:
         if values["compliance_m_per_n"] > 0.0:

@@ -18,7 +18,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 
 def damaged(e: Any, d: Any, largest: float, share: float, strain: float) -> Any:
@@ -47,7 +47,7 @@ class GelMullins(MaterialLaw):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("gel_relaxation", "contact_adhesion")
     separated_by = "Presses of growing depth, each made twice, and again after ten minutes: relaxation recovers."
     parameters = (
@@ -58,9 +58,6 @@ class GelMullins(MaterialLaw):
     lasting = ("largest",)
     example = {"share": 0.3, "strain": 0.05}
     formula = MaterialFormula(damaged)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"largest": ()}

@@ -26,7 +26,7 @@ from sim_core.core.jets import Vector
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 CRUSHED = 0.1
 """J below which the stress that is kept grows no further."""
@@ -98,7 +98,7 @@ class GelRelaxation(MaterialLaw):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("wrench_offset",)
     separated_by = "A press that is held, released and held again in air: a drift of the sensor goes on in air."
     parameters = (
@@ -112,9 +112,6 @@ class GelRelaxation(MaterialLaw):
     parts = ("solid",)
     example = {"share": 0.3, "tau_s": 0.2}
     formula = MaterialFormula(relaxing)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"stress": (6,)}

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from sim_core.effects.base import EffectParameter, RecordingScales
 from sim_core.effects.hooks import FieldMap
+from sim_core.effects.scopes import GELS
 from sim_core.effects.sheet_soft_spot import SheetSoftSpot, spread_over
 from sim_core.rigs import Gel, Rig
 
@@ -26,7 +27,7 @@ class GelSoftSpot(FieldMap):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("gel_stiffness_gradient", "tool_offset", "camera_distortion")
     separated_by = "The same tip pressed into five places of the sensor."
     parameters = (
@@ -38,9 +39,6 @@ class GelSoftSpot(FieldMap):
     parts = ("solid",)
     example = {"depth": 0.4, "x_m": 0.002, "y_m": -0.001, "radius_m": 0.003}
     formula = SheetSoftSpot.formula
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """Spots of a fifth of its size, in the middle of the gel and around it."""

@@ -13,7 +13,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 
 def sheared(e: Any, d: Any, coefficient: float) -> Any:
@@ -33,7 +33,7 @@ class GelStiffening(MaterialLaw):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("gel_soft_spot", "tool_offset", "end_effector_compliance")
     separated_by = "Deep presses of a flat and of a sharp tip: the sharp one strains the gel more at the same force."
     parameters = (
@@ -42,6 +42,3 @@ class GelStiffening(MaterialLaw):
     parts = ("solid",)
     example = {"coefficient": 300.0}
     formula = MaterialFormula(sheared)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))

@@ -13,7 +13,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 NAMES = ("x_per_m", "y_per_m", "z_per_m")
 
@@ -34,7 +34,7 @@ class GelStiffnessGradient(FieldMap):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("gel_soft_spot", "tool_offset", "wrench_frame")
     separated_by = "The same tip pressed into both sides of the sensor."
     parameters = tuple(
@@ -45,6 +45,3 @@ class GelStiffnessGradient(FieldMap):
     example = {"x_per_m": 60.0, "y_per_m": -40.0, "z_per_m": 80.0}
 
     formula = Law(exponential, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))

@@ -13,7 +13,7 @@ from typing import Any
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MaterialMap
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 
 class GelViscosity(MaterialMap):
@@ -29,7 +29,7 @@ class GelViscosity(MaterialMap):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("stream_delay", "gel_relaxation", "wrench_low_pass")
     separated_by = (
         "The same press on a soft and on a hard object: a late clock scales with the stiffness, viscosity does not."
@@ -41,9 +41,6 @@ class GelViscosity(MaterialMap):
         ),
     )  # fmt: skip
     example = {"beta_s": 0.02}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
         return {"stiffness_damping_s": material.stiffness_damping_s + values["beta_s"]}

@@ -12,7 +12,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
-from sim_core.rigs import Gel, Rig
+from sim_core.effects.scopes import GELS
 
 
 def warmed(x: float, y: float, z: float, t: float, change: float, tau_s: float) -> float:
@@ -30,7 +30,7 @@ class GelWarming(FieldMap):
     source = "Treloar, The Physics of Rubber Elasticity, 3rd ed., 1975, eq. 4.9"
     slot = "gel"
     follows = "session"
-    needs = "a gel"
+    scope = GELS
     twins = ("wrench_warm_up", "gel_relaxation")
     separated_by = "The same press every two minutes, with rests in air, and a thermometer."
     parameters = (
@@ -43,6 +43,3 @@ class GelWarming(FieldMap):
     changes = True
     example = {"change": 0.3, "tau_s": 0.2}
     formula = Law(warmed, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))

@@ -11,7 +11,14 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import RigMap
+from sim_core.effects.scopes import Scope
 from sim_core.rigs import Rig
+
+
+def weight(rig: Rig) -> tuple[str, ...]:
+    """Gravity, where it acts on anything."""
+    heavy = any(body.type != "rigid" for body in rig.bodies.values())
+    return ("gravity",) if any(rig.gravity_m_s2) and heavy else ()
 
 
 class GravityDirection(RigMap):
@@ -25,17 +32,13 @@ class GravityDirection(RigMap):
     slot = "robot"
     follows = "robot"
     passive = True
-    needs = "gravity, and a body that it acts on"
+    scope = Scope("gravity, and a body that it acts on", weight)
     twins = ("wrench_offset",)
     separated_by = "The same motion with the hand turned by 180 degrees about the vertical."
     parameters = tuple(
         EffectParameter(f"tilt_{a}_rad", "rad", -0.5, 0.5, (0.03,), 0.0, False, 0.03, f"tilt about {a}") for a in "xy"
     )
     example = {"tilt_x_rad": 0.05, "tilt_y_rad": -0.1}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        heavy = any(body.type != "rigid" for body in rig.bodies.values())
-        return ("gravity",) if any(rig.gravity_m_s2) and heavy else ()
 
     def amend_rig(self, rig: Rig, targets: tuple[str, ...], values: Values) -> Rig:
         if self.vanishes(values):

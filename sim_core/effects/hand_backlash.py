@@ -17,7 +17,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import CommandMap
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import END_EFFECTORS
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -35,7 +35,7 @@ class HandBacklash(CommandMap["Frame"]):
     source = "Brokate & Sprekels, Hysteresis and Phase Transitions, 1996, sec. 2.1 (play operator)"
     slot = "robot"
     follows = "robot"
-    needs = "an end effector"
+    scope = END_EFFECTORS
     twins = ("command_lag", "static_friction")
     separated_by = "Slow reversals in air at several speeds: play is a distance, a lag is a time."
     parameters = (
@@ -43,9 +43,6 @@ class HandBacklash(CommandMap["Frame"]):
         EffectParameter("play_deg", "deg", 0.0, 30.0, (0.2,), 0.0, False, 0.3, "half the play of turns"),
     )
     example = {"play_m": 4e-4, "play_deg": 0.0}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.end_effectors)
 
     def begin(self, pose: Frame, values: Values) -> Frame:
         return pose

@@ -1,7 +1,7 @@
 """The interfaces through which an effect acts, each with its value and all derivatives that gradients need.
 
-An effect derives from one of them (or from several, where one hypothesis has several places). Every method below is
-abstract: an effect that lacks a derivative cannot be made, and the registry says which one is missing.
+An effect derives from one of them (or from several, where one hypothesis has several places). Methods without a body
+are abstract: an effect that lacks one cannot be made, and the registry says which one is missing.
 
 | interface | what it changes | who calls it |
 | --- | --- | --- |
@@ -50,9 +50,7 @@ __all__ = [
     "NormalLaw",
     "Pointwise",
     "ReadingMap",
-    "Response",
     "RigMap",
-    "Strained",
 ]
 
 Array = np.ndarray
@@ -112,36 +110,6 @@ class BodyForce(Effect):
         """What each of them is configured with, by name."""
 
 
-@dataclass(frozen=True)
-class Strained:
-    """n elements in one step, from its start to its end, as a material law sees them; or changes of all that.
-
-    ``strain``, ``before``: generalised strains at the end and at the start ``(n, k)``, in the material axes: Green
-    strains 11, 22, twice 12 of a membrane [-], curvatures likewise [1/m], Green strains 11, 22, 33, twice 23, 13, 12
-    of a solid. ``stiffness``: of the law that is amended, D [N/m] or [N m] ``(n, k, k)``, whose stress is D times
-    strain; of a solid that of shear at small strain [Pa]. ``state``: internal variables at the start, ``(n,
-    ...)`` each. ``dt`` [s].
-    """
-
-    strain: Array
-    before: Array
-    stiffness: Array
-    state: Mapping[str, Array]
-    dt: float
-
-
-@dataclass(frozen=True)
-class Response:
-    """What a material law adds in a step, per unit of area or volume: ``energy`` of the incremental potential ``(n,)``,
-    its derivatives ``stress`` ``(n, k)`` and ``tangent`` ``(n, k, k)`` by the strain at the end, and the new
-    ``state``."""
-
-    energy: Array
-    stress: Array
-    tangent: Array
-    state: Mapping[str, Array]
-
-
 Part = Literal["membrane", "bending", "solid"]
 """What of a sheet, or of a gel, a material law amends."""
 
@@ -149,10 +117,10 @@ Part = Literal["membrane", "bending", "solid"]
 class MaterialLaw(Effect):
     """An amendment of the constitutive law of a body, with internal state in every element.
 
-    It is one formula of generalised strains (:mod:`sim_core.core.material`), the energy of a step and the new internal
-    variables; stress, tangent and all that gradients need are its derivatives. The term that hosts it
-    (:mod:`sim_core.energies.strain_law`) does the rest: nodal forces, Hessian, and all derivatives by positions, shapes
-    at rest, fields and numbers. Several laws of one body add up.
+    It is one formula (:mod:`sim_core.core.material`) of generalised strains (:mod:`sim_core.energies.strain`), the
+    energy of a step and the new internal variables; stress, tangent and all that gradients need are its derivatives.
+    The term that hosts it (:mod:`sim_core.energies.strain_law`) does the rest: nodal forces, Hessian, and all
+    derivatives by positions, shapes at rest, fields and numbers. Several laws of one body add up.
     """
 
     parts: ClassVar[tuple[Part, ...]] = ()
@@ -170,48 +138,6 @@ class MaterialLaw(Effect):
     def layout(self, size: int) -> PointLayout:
         """What the formula sees of a point with ``size`` strains."""
         return PointLayout(size, tuple(self.state().items()), tuple(p.name for p in self.parameters))
-
-    def respond(self, at: Strained, values: Values) -> Response:
-        """What it adds at the end of a step; of the baseline where the effect vanishes: nothing."""
-        n, k = at.strain.shape
-        layout = self.layout(k)
-        found = self.formula.respond(layout, layout.rows(_seen(at, values), n))
-        tangent = found[:, 1 + k : 1 + k + k * k].reshape(n, k, k)
-        return Response(found[:, 0], found[:, 1 : 1 + k], tangent, self._state(found[:, 1 + k + k * k :]))
-
-    def stress(self, at: Strained, values: Values) -> tuple[Array, Array]:
-        """Energy ``(n,)`` and stress ``(n, k)`` of :meth:`respond` alone."""
-        n, k = at.strain.shape
-        layout = self.layout(k)
-        found = self.formula.stress(layout, layout.rows(_seen(at, values), n))
-        return found[:, 0], found[:, 1:]
-
-    def push(self, at: Strained, change: Strained, values: Values, by: Values) -> tuple[Array, Mapping[str, Array]]:
-        """Changes of stress ``(..., n, k)`` and of the new state ``(..., n, ...)`` along changes of all inputs and of
-        the parameters, ``by``. Changes may have further first axes; no one asks for a change of ``dt``."""
-        n, k = at.strain.shape
-        layout = self.layout(k)
-        ends = {"strain": 2, "before": 2, "stiffness": 3}
-        leads = [getattr(change, name).shape[:-own] for name, own in ends.items()]
-        leads += [z.shape[: z.ndim - at.state[name].ndim] for name, z in change.state.items()]
-        lead = np.broadcast_shapes(*leads)
-        changes = layout.rows(_seen(change, by), n, lead).reshape(-1, n, layout.inputs)
-        found = self.formula.push(layout, layout.rows(_seen(at, values), n), changes)
-        found = found.reshape(*lead, n, k + layout.states)
-        return found[..., :k], self._state(found[..., k:])
-
-    def _state(self, rows: Array) -> dict[str, Array]:
-        """Internal variables by name, from rows of them ``(..., q)``."""
-        found, at = {}, 0
-        for name, shape in self.state().items():
-            size = int(np.prod(shape))
-            found[name] = rows[..., at : at + size].reshape(*rows.shape[:-1], *shape)
-            at += size
-        return found
-
-
-def _seen(at: Strained, values: Values) -> dict[str, Any]:
-    return {"e": at.strain, "e_0": at.before, "d": at.stiffness, **at.state, "dt": at.dt, **values}
 
 
 class FieldMap(Effect):
@@ -350,16 +276,21 @@ class Additive(ReadingMap):
         return weights
 
 
+COMPLEX_STEP = 1e-30
+"""Imaginary step of derivatives of analytic functions. Nothing is subtracted, so they are exact to round-off."""
+
+
 class Pointwise(ReadingMap):
     """A sensor that changes each point by itself: ``(..., m)`` to ``(..., m)``."""
 
     @abstractmethod
     def point(self, channel: Channel, points: Array, values: Values) -> Array:
-        """What is reported of points ``(..., m)``."""
+        """What is reported of points ``(..., m)``, as an analytic function: it is given complex numbers too."""
 
-    @abstractmethod
     def slope(self, channel: Channel, points: Array, values: Values) -> Array:
-        """Its derivative by the points ``(..., m, m)``."""
+        """Its derivative by the points ``(..., m, m)``, by complex steps (Squire & Trapp, SIAM Review 40, 1998)."""
+        steps = 1j * COMPLEX_STEP * np.eye(points.shape[-1])
+        return np.stack([self.point(channel, points + s, values).imag / COMPLEX_STEP for s in steps], axis=-1)
 
     def read(self, channel: Channel, readings: Array, values: Values) -> Array:
         return self.point(channel, readings, values)

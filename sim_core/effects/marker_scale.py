@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Linear
-from sim_core.rigs import MarkerSensor, Rig
+from sim_core.effects.scopes import MARKER_SENSORS
 
 NAMES = ("scale_x", "scale_y", "scale_z")
 
@@ -28,7 +28,7 @@ class MarkerScale(Linear):
     slot = "markers"
     follows = "sensor"
     passive = True
-    needs = "a marker sensor"
+    scope = MARKER_SENSORS
     twins = ("gel_relaxation", "wrench_gain")
     separated_by = "The pattern of markers at rest, whose size is known."
     parameters = tuple(
@@ -36,9 +36,6 @@ class MarkerScale(Linear):
         for n in NAMES
     )
     example = {"scale_x": 0.03, "scale_y": 0.02, "scale_z": -0.05}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, MarkerSensor))
 
     def matrix(self, channel: Channel, values: Values) -> np.ndarray:
         return np.diag([1.0 + values[n] for n in NAMES])

@@ -13,7 +13,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FrictionLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import FRICTION_CONTACTS
 
 
 def schallamach(pressure: float, speed: float, exponent: float, pressure_pa: float) -> float:
@@ -31,7 +31,7 @@ class PressureFriction(FrictionLaw):
     source = "Schallamach, Proc. Phys. Soc. B 65, 1952"
     slot = "contact"
     passive = True
-    needs = "a contact with friction"
+    scope = FRICTION_CONTACTS
     twins = ("stribeck_friction", "contact_adhesion")
     separated_by = "Slides under four loads at one speed: adhesion leaves friction at zero load, a power does not."
     parameters = (
@@ -40,6 +40,3 @@ class PressureFriction(FrictionLaw):
     )
     example = {"exponent": 0.3, "pressure_pa": 1000.0}
     factor = Law(schallamach, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts if c.friction > 0.0)

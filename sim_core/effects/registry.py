@@ -51,8 +51,8 @@ def checked(kind: type[Effect]) -> Effect:
             f"The effect {kind.name} lacks {', '.join(lacking)}, which {_interface(kind)} asks for.",
             "Write every value and every derivative of the interface (sim_core/effects/hooks.py).",
         )
-    for field in ("title", "words", "slot", "needs", "parameters"):
-        if not getattr(kind, field):
+    for field in ("title", "words", "slot", "scope", "parameters"):
+        if not getattr(kind, field, None):
             raise ConfigError(f"The effect {kind.name} has no {field}.", "Fill it in; see sim_core/effects/base.py.")
     if set(kind.example) != {p.name for p in kind.parameters}:
         raise ConfigError(
@@ -142,14 +142,14 @@ def _scope(rig: Rig, effect: Effect, key: str) -> tuple[str, ...]:
     possible = effect.targets(rig)
     if not possible:
         raise ConfigError(
-            f"The effect {key} acts on nothing in the rig {rig.name!r}: it needs {effect.needs}.",
+            f"The effect {key} acts on nothing in the rig {rig.name!r}: it needs {effect.scope.needs}.",
             "Remove it from the rig's effects, or add what it needs.",
         )
     if target is None:
         return possible
     if target not in possible:
         raise ConfigError(
-            f"The effect {key} cannot act on {target!r} in the rig {rig.name!r}: it needs {effect.needs}.",
+            f"The effect {key} cannot act on {target!r} in the rig {rig.name!r}: it needs {effect.scope.needs}.",
             nearest_match(target, list(possible)),
         )
     return (target,)

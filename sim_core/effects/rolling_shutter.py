@@ -15,7 +15,8 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, ReadingMap
-from sim_core.rigs import OrthographicCamera, Rig
+from sim_core.effects.scopes import Scope
+from sim_core.rigs import OrthographicCamera
 
 
 class RollingShutter(ReadingMap):
@@ -29,16 +30,16 @@ class RollingShutter(ReadingMap):
     slot = "camera"
     follows = "sensor"
     passive = True
-    needs = "a camera with a height"
+    scope = Scope(
+        "a camera with a height",
+        lambda rig: tuple(n for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)),
+    )
     twins = ("stream_delay", "camera_pose")
     separated_by = "The same motion once with the object high in the picture and once with it low."
     parameters = (
         EffectParameter("readout_s", "s", -0.2, 0.2, (0.02,), 0.0, False, 0.03, "from the first row to the last"),
     )
     example = {"readout_s": 0.03}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera))
 
     def read(self, channel: Channel, readings: np.ndarray, values: Values) -> np.ndarray:
         seen = _Seen.of(channel, readings, values)

@@ -17,6 +17,7 @@ import numpy as np
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, RecordingScales, Values
 from sim_core.effects.hooks import FieldMap
+from sim_core.effects.scopes import SHEETS
 from sim_core.rigs import Rig, Sheet
 
 
@@ -38,7 +39,7 @@ class SheetCrease(FieldMap):
     source = "Lechenault, Thiria & Adda-Bedia, Phys. Rev. Lett. 112, 244301, 2014"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_soft_spot", "bending_plasticity")
     separated_by = "Presses on a grid across the line: a crease acts all along it, a spot in one place."
     parameters = (
@@ -50,9 +51,6 @@ class SheetCrease(FieldMap):
     parts = ("bending",)
     example = {"softening": 0.5, "offset_m": -0.005, "angle_rad": 0.3, "width_m": 0.008}
     formula = Law(creased, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """Creases across x and across y, in the middle of the sheet and off it, a twentieth of its size wide."""

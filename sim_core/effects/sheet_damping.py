@@ -12,7 +12,7 @@ from typing import Any
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MaterialMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 class SheetDamping(MaterialMap):
@@ -25,7 +25,7 @@ class SheetDamping(MaterialMap):
     source = "Clough & Penzien, Dynamics of Structures, 3rd ed., eq. 12-37"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("air_drag", "viscoelastic_sheet")
     separated_by = "Free ringing at two free lengths: the frequency tells the parts, the amplitude tells air drag."
     parameters = (
@@ -33,9 +33,6 @@ class SheetDamping(MaterialMap):
         EffectParameter("stiffness_s", "s", 0.0, 1.0, (1e-3,), 0.0, False, 5e-3, "beta"),
     )
     example = {"mass_per_s": 3.0, "stiffness_s": 0.01}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
         return {

@@ -12,7 +12,7 @@ from typing import Any
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MaterialMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 class SheetDensity(MaterialMap):
@@ -25,14 +25,11 @@ class SheetDensity(MaterialMap):
     source = "Alava & Niskanen, Rep. Prog. Phys. 69, 2006 (moisture in paper)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("gravity_direction", "sheet_precurvature", "wrench_offset")
     separated_by = "The same motion with the sheet turned over: a weight does not turn with the sheet, a shape does."
     parameters = (EffectParameter("excess", "-", -0.95, 20.0, (0.1,), 0.0, False, 0.2, "share by which it is heavier"),)
     example = {"excess": 0.3}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
         return {"density_kg_m3": (1.0 + values["excess"]) * material.density_kg_m3}

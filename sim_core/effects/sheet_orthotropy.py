@@ -12,7 +12,8 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MechanicsMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
+from sim_core.rigs import Rig
 
 if TYPE_CHECKING:
     from sim_core.scene.scene import Values as SceneValues
@@ -31,16 +32,13 @@ class SheetOrthotropy(MechanicsMap):
     source = "Jones, Mechanics of Composite Materials, 2nd ed., eq. 2.61 (plane stress)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     separated_by = "The same motion with the sheet turned by 90 degrees."
     parameters = (
         EffectParameter("modulus_ratio", "-", 0.05, 20.0, (2.0, 0.5), 1.0, True, 0.7, "E_1 over E_2"),
         EffectParameter("grain_angle_rad", "rad", -1.6, 1.6, (0.0, 0.6), None, False, 0.8, "direction 1 against x"),
     )
     example = {"modulus_ratio": 2.0, "grain_angle_rad": 0.4}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def equivalents(self, values: Values) -> tuple[Values, ...]:
         """Direction 2 called direction 1, and either direction turned round."""

@@ -14,7 +14,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 NAMES = ("x_per_m", "y_per_m", "twist_per_m")
 
@@ -35,7 +35,7 @@ class SheetPrecurvature(MaterialLaw):
     source = "Timoshenko & Woinowsky-Krieger, Theory of Plates and Shells, 2nd ed. (initial curvature)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("gravity_direction", "sheet_density", "tool_offset")
     separated_by = "The same motion with the sheet turned over: what is curled changes its sign, weight does not."
     parameters = tuple(
@@ -45,6 +45,3 @@ class SheetPrecurvature(MaterialLaw):
     parts = ("bending",)
     example = {"x_per_m": 0.4, "y_per_m": -0.3, "twist_per_m": 0.2}
     formula = MaterialFormula(curled)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -16,6 +16,7 @@ import numpy as np
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, RecordingScales
 from sim_core.effects.hooks import FieldMap
+from sim_core.effects.scopes import SHEETS
 from sim_core.rigs import Rig, Sheet
 
 
@@ -34,7 +35,7 @@ class SheetSoftSpot(FieldMap):
     source = "Avril et al., Experimental Mechanics 48, 2008 (stiffness fields)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_crease", "sheet_stiffness_gradient", "end_effector_compliance")
     separated_by = "The same motion with the sheet shifted, or turned round: the spot moves with it."
     parameters = (
@@ -46,9 +47,6 @@ class SheetSoftSpot(FieldMap):
     parts = ("membrane", "bending")
     example = {"depth": 0.4, "x_m": -0.01, "y_m": 0.003, "radius_m": 0.012}
     formula = Law(spot, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """Spots of a fifth of its size, in the middle of the sheet and around it."""

@@ -14,7 +14,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 def stretched(e: Any, d: Any, coefficient: float) -> Any:
@@ -45,7 +45,7 @@ class SheetStiffening(MaterialLaw):
     source = "Fung, Biomechanics, 2nd ed., 1993, sec. 7.11 (first term of the exponential)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_thickness", "sheet_orthotropy")
     separated_by = "Pulls to several strains: a modulus scales the force at all of them alike."
     parameters = (
@@ -54,6 +54,3 @@ class SheetStiffening(MaterialLaw):
     parts = ("membrane",)
     example = {"coefficient": 1e10}
     formula = MaterialFormula(stretched)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -12,7 +12,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FieldMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 NAMES = ("x_per_m", "y_per_m")
 
@@ -32,7 +32,7 @@ class SheetStiffnessGradient(FieldMap):
     source = "Avril et al., Experimental Mechanics 48, 2008 (stiffness fields)"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_soft_spot", "gravity_direction", "sheet_orthotropy")
     separated_by = "The same motion with the sheet turned round by 180 degrees."
     parameters = tuple(
@@ -43,6 +43,3 @@ class SheetStiffnessGradient(FieldMap):
     example = {"x_per_m": 8.0, "y_per_m": -15.0}
 
     formula = Law(exponential, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -13,7 +13,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 def swollen(e: Any, d: Any, strain_x: float, strain_y: float) -> Any:
@@ -33,7 +33,7 @@ class SheetSwelling(MaterialLaw):
     slot = "sheet"
     follows = "session"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_precurvature", "tool_offset")
     separated_by = "Points on the sheet where it hangs free: their distances grow by the same share everywhere."
     parameters = tuple(
@@ -43,6 +43,3 @@ class SheetSwelling(MaterialLaw):
     parts = ("membrane",)
     example = {"strain_x": 0.004, "strain_y": -0.003}
     formula = MaterialFormula(swollen)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))

@@ -13,7 +13,7 @@ from typing import Any
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import MaterialMap
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 class SheetThickness(MaterialMap):
@@ -26,14 +26,11 @@ class SheetThickness(MaterialMap):
     source = "Timoshenko & Woinowsky-Krieger, Theory of Plates and Shells, 2nd ed., eq. 3"
     slot = "sheet"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("sheet_density", "sheet_orthotropy")
     separated_by = "A bend and a pull of the same sheet: a modulus changes both by the same share."
     parameters = (EffectParameter("excess", "-", -0.9, 5.0, (0.05,), 0.0, False, 0.1, "share by which it is thicker"),)
     example = {"excess": 0.1}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def amend_material(self, material: Any, values: Values) -> Mapping[str, float]:
         return {"thickness_m": (1.0 + values["excess"]) * material.thickness_m}

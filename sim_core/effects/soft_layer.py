@@ -11,7 +11,7 @@ from __future__ import annotations
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import NormalLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import CONTACTS
 
 
 def layer(gap: float, pressure_pa: float, thickness_m: float) -> float:
@@ -29,7 +29,7 @@ class SoftLayer(NormalLaw):
     source = "Persson, Phys. Rev. Lett. 99, 125502, 2007 (exponential of random roughness)"
     slot = "contact"
     passive = True
-    needs = "a contact"
+    scope = CONTACTS
     twins = ("tool_offset", "gel_relaxation")
     separated_by = "Presses to several depths: a layer matters at small loads alone, an offset at all of them."
     parameters = (
@@ -38,9 +38,6 @@ class SoftLayer(NormalLaw):
     )
     example = {"pressure_pa": 500.0, "thickness_m": 0.0005}
     energy = Law(layer)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts)
 
     def reach(self, values: Values) -> float:
         return values["thickness_m"] if values["pressure_pa"] > 0.0 else 0.0

@@ -13,7 +13,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FrictionLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import FRICTION_CONTACTS
 
 SLIP_SPEED_SCALE_M_S = 2e-3
 """Slip speed by which the static part has fallen to 1/e."""
@@ -37,7 +37,7 @@ class StaticFriction(FrictionLaw):
     source = "Bo & Pavelescu, Wear 82, 1982 (exponential model)"
     slot = "contact"
     passive = True
-    needs = "a contact with friction"
+    scope = FRICTION_CONTACTS
     separated_by = "Slides at several speeds, each begun from rest after the same hold."
     parameters = (
         EffectParameter(
@@ -46,6 +46,3 @@ class StaticFriction(FrictionLaw):
     )
     example = {"excess": 0.5}
     factor = Law(bump, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts if c.friction > 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Nuisance, RecordingScales, Values
 from sim_core.effects.hooks import Channel, ClockMap
+from sim_core.effects.scopes import STREAMS
 from sim_core.rigs import Rig, WrenchSensor
 
 
@@ -27,7 +28,7 @@ class StreamDelay(ClockMap):
     slot = "clock"
     follows = "session"
     passive = True
-    needs = "a sensor or a camera"
+    scope = STREAMS
     twins = ("command_lag",)
     separated_by = "Compare the streams with one another: a lag of the robot delays all of them alike."
     parameters = (
@@ -35,9 +36,6 @@ class StreamDelay(ClockMap):
         EffectParameter("vision_s", "s", -2.0, 2.0, (0.01,), 0.0, False, 0.05, "delay of markers and tracks"),
     )
     example = {"wrench_s": 0.03, "vision_s": 0.05}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return (*rig.sensors, *rig.cameras)
 
     def variants(self, rig: Rig, scales: RecordingScales | None = None) -> tuple[Mapping[str, tuple[float, ...]], ...]:
         """One stream late at a time, of those that the rig has."""

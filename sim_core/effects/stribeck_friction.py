@@ -13,7 +13,7 @@ import math
 from sim_core.core.pointwise import Law
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import FrictionLaw
-from sim_core.rigs import Rig
+from sim_core.effects.scopes import FRICTION_CONTACTS
 
 
 def tustin(pressure: float, speed: float, excess: float, speed_m_s: float, viscous_s_m: float) -> float:
@@ -31,7 +31,7 @@ class StribeckFriction(FrictionLaw):
     source = "Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30, 1994"
     slot = "contact"
     passive = True
-    needs = "a contact with friction"
+    scope = FRICTION_CONTACTS
     twins = ("static_friction", "pressure_friction")
     separated_by = "Slides at four speeds, a decade apart, under the same load."
     parameters = (
@@ -44,6 +44,3 @@ class StribeckFriction(FrictionLaw):
     )  # fmt: skip
     example = {"excess": 0.4, "speed_m_s": 0.02, "viscous_s_m": 2.0}
     factor = Law(tustin, order=1)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(c.name for c in rig.contacts if c.friction > 0.0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from sim_core.effects.base import EffectParameter, Nuisance, Values
 from sim_core.effects.hooks import RigMap
+from sim_core.effects.scopes import END_EFFECTORS
 from sim_core.rigs import Rig
 from sim_core.rigs.pose_offset import OFFSETS
 
@@ -27,7 +28,7 @@ class ToolOffset(RigMap):
     slot = "robot"
     follows = "robot"
     passive = True
-    needs = "an end effector"
+    scope = END_EFFECTORS
     twins = ("end_effector_compliance",)
     separated_by = "Presses to several depths: an offset is the same at all of them, a compliance grows with force."
     parameters = (
@@ -35,9 +36,6 @@ class ToolOffset(RigMap):
         *(EffectParameter(f"r{a}_deg", "deg", -45.0, 45.0, (0.5,), 0.0, False, 1.0, f"turn about {a}") for a in "xyz"),
     )
     example = {"x_m": 0.0003, "y_m": -0.0002, "z_m": -0.0004, "rx_deg": 0.4, "ry_deg": -0.3, "rz_deg": 0.2}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(rig.end_effectors)
 
     def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
         """As far as the rig says that the offset is not known."""

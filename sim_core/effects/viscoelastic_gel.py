@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.scopes import GELS
 from sim_core.effects.viscoelastic_sheet import maxwell
-from sim_core.rigs import Gel, Rig
 
 
 class ViscoelasticGel(MaterialLaw):
@@ -28,7 +28,7 @@ class ViscoelasticGel(MaterialLaw):
     slot = "gel"
     follows = "sensor"
     passive = True
-    needs = "a gel"
+    scope = GELS
     twins = ("gel_relaxation", "gel_viscosity", "wrench_warm_up")
     separated_by = "Presses at speeds a decade apart, each held for long: each branch shows at one of them."
     parameters = (
@@ -40,9 +40,6 @@ class ViscoelasticGel(MaterialLaw):
     parts = ("solid",)
     example = {"share": 0.5, "tau_s": 0.1}
     formula = MaterialFormula(maxwell)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Gel))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (6,)}

@@ -27,7 +27,7 @@ from typing import Any
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.base import EffectParameter
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.rigs import Rig, Sheet
+from sim_core.effects.scopes import SHEETS
 
 
 def maxwell(e: Any, e_0: Any, d: Any, spring: Any, dt: float, share: float, tau_s: float) -> Any:
@@ -54,7 +54,7 @@ class ViscoelasticSheet(MaterialLaw):
     slot = "sheet"
     follows = "object"
     passive = True
-    needs = "a sheet"
+    scope = SHEETS
     twins = ("bending_plasticity", "air_drag")
     separated_by = "A bend that is held and released: what creeps comes back in time, what yielded does not."
     parameters = (
@@ -67,9 +67,6 @@ class ViscoelasticSheet(MaterialLaw):
     parts = ("membrane", "bending")
     example = {"share": 0.5, "tau_s": 0.1}
     formula = MaterialFormula(maxwell)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet))
 
     def state(self) -> Mapping[str, tuple[int, ...]]:
         return {"spring": (3,)}

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Linear
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 ARM_M = 0.1
@@ -37,14 +37,11 @@ class WrenchCrosstalk(Linear):
     slot = "wrench sensor"
     follows = "sensor"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("wrench_gain", "wrench_frame")
     separated_by = "Known weights that hang from the sensor in six directions."
     parameters = tuple(_coupling(to, by) for to in COMPONENTS for by in COMPONENTS if to != by)
     example = {p.name: 0.05 * p.upper for p in parameters}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def matrix(self, channel: Channel, values: Values) -> np.ndarray:
         return np.array([[values.get(f"{to}_by_{by}", 1.0) for by in COMPONENTS] for to in COMPONENTS])

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Linear
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 
 class WrenchFrame(Linear):
@@ -29,7 +29,7 @@ class WrenchFrame(Linear):
     slot = "wrench sensor"
     follows = "sensor"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("wrench_crosstalk", "tool_offset")
     separated_by = "A camera: a sensor that is turned leaves the motion of what it touches as it is."
     parameters = (
@@ -37,9 +37,6 @@ class WrenchFrame(Linear):
         *(EffectParameter(f"r{a}_deg", "deg", -45.0, 45.0, (1.0,), 0.0, False, 2.0, f"turn about {a}") for a in "xyz"),
     )
     example = {"x_m": 0.002, "y_m": -0.003, "z_m": 0.004, "rx_deg": 3.0, "ry_deg": -4.0, "rz_deg": 5.0}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def matrix(self, channel: Channel, values: Values) -> np.ndarray:
         from scipy.spatial.transform import Rotation

@@ -11,7 +11,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, Linear
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 COMPONENTS = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz")
 
@@ -27,7 +27,7 @@ class WrenchGain(Linear):
     slot = "wrench sensor"
     follows = "sensor"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("wrench_crosstalk", "end_effector_compliance")
     separated_by = "A known weight that hangs from the sensor: all stiffnesses together look the same without one."
     parameters = tuple(
@@ -35,9 +35,6 @@ class WrenchGain(Linear):
         for c in COMPONENTS
     )
     example = {c: 0.1 + 0.02 * k for k, c in enumerate(COMPONENTS)}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def matrix(self, channel: Channel, values: Values) -> np.ndarray:
         return np.diag([1.0 + values[c] for c in COMPONENTS])

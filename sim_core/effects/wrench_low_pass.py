@@ -16,7 +16,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Values
 from sim_core.effects.hooks import Channel, ReadingMap
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 
 class WrenchLowPass(ReadingMap):
@@ -30,7 +30,7 @@ class WrenchLowPass(ReadingMap):
     slot = "wrench sensor"
     follows = "sensor"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("stream_delay", "gel_relaxation")
     separated_by = "A tap: a late clock keeps the peak of the force, a filter lowers it."
     parameters = (
@@ -39,9 +39,6 @@ class WrenchLowPass(ReadingMap):
         ),
     )
     example = {"tau_s": 0.05}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def read(self, channel: Channel, readings: np.ndarray, values: Values) -> np.ndarray:
         return _filtered(channel, readings, values["tau_s"])

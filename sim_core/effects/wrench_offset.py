@@ -9,7 +9,8 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Nuisance, Values
 from sim_core.effects.hooks import Additive, Channel
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
+from sim_core.rigs import Rig
 
 
 def _six(force: tuple[str, str], torque: tuple[str, str], words: str, rate: bool) -> list[EffectParameter]:
@@ -52,7 +53,7 @@ class WrenchOffset(Additive):
     slot = "wrench sensor"
     follows = "session"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("gel_relaxation",)
     separated_by = "Rests in air before and after contact."
     parameters = (
@@ -63,9 +64,6 @@ class WrenchOffset(Additive):
         **{name.format(a): 0.1 for name in ("bias_{}_n", "torque_bias_{}_nm") for a in "xyz"},
         **{name.format(a): 0.05 for name in ("drift_{}_n_per_s", "torque_drift_{}_nm_per_s") for a in "xyz"},
     }
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def nuisances(self, rig: Rig) -> tuple[Nuisance, ...]:
         """A constant in each component of each sensor and recording."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from sim_core.effects.base import EffectParameter, Scale, Values
 from sim_core.effects.hooks import Additive, Channel
-from sim_core.rigs import Rig, WrenchSensor
+from sim_core.effects.scopes import WRENCH_SENSORS
 
 AMOUNTS = tuple(f"{kind}_{a}_{unit}" for kind, unit in (("force", "n"), ("torque", "nm")) for a in "xyz")
 
@@ -36,7 +36,7 @@ class WrenchWarmUp(Additive):
     slot = "wrench sensor"
     follows = "session"
     passive = True
-    needs = "a wrench sensor"
+    scope = WRENCH_SENSORS
     twins = ("wrench_offset", "gel_relaxation")
     separated_by = "Rests in air at the beginning, in the middle and at the end of a long recording."
     parameters = (
@@ -46,9 +46,6 @@ class WrenchWarmUp(Additive):
         ),
     )
     example = {**dict.fromkeys(AMOUNTS[:3], 0.2), **dict.fromkeys(AMOUNTS[3:], 0.01), "tau_s": 0.15}
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, s in rig.sensors.items() if isinstance(s, WrenchSensor))
 
     def added(self, channel: Channel, values: Values) -> np.ndarray:
         share = -np.expm1(-(channel.stamps + channel.since) / values["tau_s"])

@@ -121,16 +121,6 @@ class Bending(ElementValues):
         return self._kappa
 
     @property
-    def areas(self) -> np.ndarray:
-        """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
-        return self._size
-
-    @property
-    def whole_areas(self) -> np.ndarray:
-        """Areas of the triangles [m^2] ``(m,)``."""
-        return self._whole_size
-
-    @property
     def stiffness(self) -> np.ndarray:
         """D of the triangles [N m] ``(m, 3, 3)``; changed in place."""
         return self._d

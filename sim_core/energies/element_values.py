@@ -61,6 +61,17 @@ class ElementValues(ABC):
         self.configure(self._given)
 
     @property
+    def sizes(self) -> np.ndarray:
+        """Areas of triangles [m^2] ``(m,)``, or volumes of quadrature points [m^3] ``(m, k)``, times the factors of
+        their stiffness; changed in place."""
+        return self._size
+
+    @property
+    def whole_sizes(self) -> np.ndarray:
+        """The same without the factors."""
+        return self._whole_size
+
+    @property
     def damping(self) -> np.ndarray:
         """Damping by the rate of strain of the elements, beta [s] ``(m,)``."""
         return self._damping

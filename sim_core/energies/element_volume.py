@@ -16,14 +16,18 @@ import numpy as np
 from sim_core.energies.neo_hookean import NeoHookean
 
 
-def least_volumes(term: NeoHookean, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Least J at the points of each element ``(m,)`` on the straight way of the nodes from ``before`` to ``after`` [m]
-    ``(n, 3)``."""
-    gradients = term.gradients.reshape(len(term.tets), 4, 10, 3)
-    f0, f1 = (np.einsum("eai,eqaj->eqij", x[term.tets], gradients, optimize=True) for x in (before, after))
-    d = f1 - f0
-    c0, c1, c2, c3 = _det(f0), (_cofactor(f0) * d).sum((2, 3)), (_cofactor(d) * f0).sum((2, 3)), _det(d)
-    least = np.minimum(c0, _det(f1))
+def least_volumes(term: NeoHookean, path: np.ndarray) -> np.ndarray:
+    """Least J at the points of each element ``(t - 1, m)`` on the straight ways of the nodes from each place of a
+    ``path`` [m] ``(t, n, 3)`` to the next."""
+    count = len(term.tets)
+    gradients = term.gradients.reshape(count, 4, 10, 3).transpose(0, 2, 1, 3).reshape(count, 10, 12)
+    f = (path[:, term.tets].swapaxes(-1, -2) @ gradients).reshape(len(path), count, 3, 4, 3).swapaxes(-2, -3)
+    f0, d = f[:-1], np.diff(f, axis=0)
+    cofactors, own = _cofactors(f), _cofactors(d)
+    whole = (f[..., 0, :] * cofactors[..., 0, :]).sum(axis=-1)
+    c0, c1, c2 = whole[:-1], (cofactors[:-1] * d).sum((-2, -1)), (own * f0).sum((-2, -1))
+    c3 = (d[..., 0, :] * own[..., 0, :]).sum(axis=-1)
+    least = np.minimum(c0, whole[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c2**2 - 3.0 * c1 * c3)
         # Where J'(s) = 0: both roots of a quadratic in the form that loses no digits.
@@ -32,13 +36,8 @@ def least_volumes(term: NeoHookean, before: np.ndarray, after: np.ndarray) -> np
             inside = np.isfinite(s) & (s > 0.0) & (s < 1.0)
             at = np.where(inside, s, 0.0)
             least = np.minimum(least, c0 + at * (c1 + at * (c2 + at * c3)))
-    return np.asarray(least.min(axis=1))
+    return np.asarray(least.min(axis=2))
 
 
-def _det(f: np.ndarray) -> np.ndarray:
-    return np.asarray((f[..., 0, :] * np.cross(f[..., 1, :], f[..., 2, :])).sum(axis=-1))
-
-
-def _cofactor(f: np.ndarray) -> np.ndarray:
-    rows = [np.cross(f[..., (i + 1) % 3, :], f[..., (i + 2) % 3, :]) for i in range(3)]
-    return np.stack(rows, axis=-2)
+def _cofactors(f: np.ndarray) -> np.ndarray:
+    return np.cross(f[..., (1, 2, 0), :], f[..., (2, 0, 1), :])

@@ -88,16 +88,6 @@ class Membrane(ElementValues, Memoryless):
         return self._triangles
 
     @property
-    def areas(self) -> np.ndarray:
-        """Areas of the triangles [m^2] ``(m,)``, times the factors of their stiffness; changed in place."""
-        return self._size
-
-    @property
-    def whole_areas(self) -> np.ndarray:
-        """Areas of the triangles [m^2] ``(m,)``."""
-        return self._whole_size
-
-    @property
     def stiffness(self) -> np.ndarray:
         """h C of the triangles [N/m] ``(m, 3, 3)``, without damping; changed in place."""
         return self._elastic

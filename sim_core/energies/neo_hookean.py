@@ -75,16 +75,6 @@ class NeoHookean(ElementValues):
         return self._grad
 
     @property
-    def weights(self) -> np.ndarray:
-        """Volumes of the points [m^3] ``(m, 4)``, times the factors of the modulus; changed in place."""
-        return np.asarray(self._size)
-
-    @property
-    def whole_weights(self) -> np.ndarray:
-        """Volumes of the points [m^3] ``(m, 4)``."""
-        return np.asarray(self._whole_size)
-
-    @property
     def shear_moduli(self) -> np.ndarray:
         """Of the elements [Pa] ``(m,)``."""
         return np.asarray(self._moduli[:, MU])
@@ -104,10 +94,6 @@ class NeoHookean(ElementValues):
         if quantity == "E_pa":
             return moduli(1.0, self._nu)
         return moduli_by_nu(self._given["E_pa"], self._nu)
-
-    def shear_moduli_by(self, quantity: str) -> np.ndarray:
-        """Derivative of :attr:`shear_moduli` by ``E_pa`` or ``nu`` ``(m,)``."""
-        return np.asarray(self.moduli_by(quantity)[:, MU])
 
     @counted
     def configure(self, parameters: Mapping[str, float]) -> None:

@@ -15,8 +15,9 @@ from typing import Any
 
 from sim_core.core.material import MaterialFormula
 from sim_core.effects.hooks import MaterialLaw
+from sim_core.effects.scopes import Scope
 from sim_core.errors import ConfigError
-from sim_core.rigs import Rig, Sheet
+from sim_core.rigs import Sheet
 
 INCOMPRESSIBLE = 0.5
 
@@ -34,9 +35,10 @@ class RubberFilm(MaterialLaw):
     title = "the sheet is a rubber film"
     parts = ("membrane",)
     formula = MaterialFormula(beyond_linear)
-
-    def targets(self, rig: Rig) -> tuple[str, ...]:
-        return tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet) and b.law == "neo_hookean")
+    scope = Scope(
+        "a sheet with the neo-Hookean law",
+        lambda rig: tuple(n for n, b in rig.bodies.items() if isinstance(b, Sheet) and b.law == "neo_hookean"),
+    )
 
 
 RUBBER = RubberFilm()

@@ -6,66 +6,29 @@ strains e(x') and L = de/dx', the term of all laws of one strain measure is
 
     E = sum_T A_T w(e_T; e_0, z),    dE/dx' = L^T A s,    d2E/dx'^2 = L^T A (ds/de) L + A s . d2e/dx'^2
 
-and its derivatives by anything else are those of the law, by :meth:`~sim_core.effects.hooks.MaterialLaw.push`, and of
-the strains, by the measure (:mod:`sim_core.energies.membrane_strain`, :mod:`sim_core.energies.bending_strain`,
-:mod:`sim_core.energies.solid_strain`). Without ``exact`` the tangents are made positive semidefinite one by one, so
-that any law may be added to any other."""
+and its derivatives by anything else are those of the law and of the strains (:mod:`sim_core.energies.strain`). Without
+``exact`` the tangents are made positive semidefinite one by one, so that any law may be added to any other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim_core.effects.hooks import MaterialLaw
-from sim_core.energies.grading import Grading
+from sim_core.energies.strain import Strain
 from sim_core.energies.term import Internals, Quantity, counted
 
 if TYPE_CHECKING:
     from sim_core.effects.base import Effect
 
 
-class StrainMeasure(Protocol):
-    """Strains ``(m, k)`` of the m triangles of a sheet, or quadrature points of a gel, and what they do to nodes ``(n,
-    3)``. ``areas``: of the triangles times the factors of their stiffness [m^2], ``whole_areas`` without, of points
-    volumes [m^3]; ``stiffness``: of the body's own law, ``(m, k, k)``; all change in place."""
-
-    components: int
-    """k."""
-    quantities: tuple[Quantity, ...]
-    """Of the numbers of the body's own law those that its stiffness depends on."""
-
-    @property
-    def areas(self) -> np.ndarray: ...
-
-    @property
-    def whole_areas(self) -> np.ndarray: ...
-
-    @property
-    def stiffness(self) -> np.ndarray: ...
-
-    @property
-    def grading(self) -> Grading | None: ...
-
-    def stiffness_by(self, quantity: str) -> np.ndarray:
-        """Derivative of ``stiffness`` by one of the body's numbers ``(m, k, k)``."""
-        ...
-
-    def at_points(self, values: np.ndarray) -> np.ndarray:
-        """Values of the body's elements, each at all that it has strains of, ``(m,)``."""
-        ...
-
-    def of_elements(self, values: np.ndarray) -> np.ndarray:
-        """Sums of values ``(m,)`` over the elements."""
-        ...
-
-
 class StrainLaws:
     """Term of all material laws of one strain ``measure`` of a body. Its numbers are those of the body's stiffness, and
     ``<key>.<parameter>`` of each law."""
 
-    def __init__(self, name: str, measure: StrainMeasure) -> None:
+    def __init__(self, name: str, measure: Strain) -> None:
         self.name, self.measure = name, measure
         self._laws: dict[str, MaterialLaw] = {}
         self._values: dict[str, dict[str, Any]] = {}
@@ -80,7 +43,7 @@ class StrainLaws:
     def numbers(self, body: Mapping[str, float], laws: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """What to configure the term with: of the numbers of the ``body``'s own term those of its stiffness, and the
         values of the laws by their keys."""
-        graded = () if self.measure.grading is None else self.measure.grading.numbers
+        graded = () if self.measure.own.grading is None else self.measure.own.grading.numbers
         own = {name: body[name] for name in (*(q.name for q in self.measure.quantities), *graded) if name in body}
         return {**own, **{f"{key}.{name}": value for key in self._laws for name, value in laws.get(key, {}).items()}}
 
@@ -95,7 +58,7 @@ class StrainLaws:
         laws = (
             Quantity(f"{key}.{p.name}", p.unit, shares=True) for key, law in self._laws.items() for p in law.parameters
         )
-        graded = {} if self.measure.grading is None else self.measure.grading.numbers
+        graded = {} if self.measure.own.grading is None else self.measure.own.grading.numbers
         return (*self.measure.quantities, *(Quantity(name, unit) for name, unit in graded.items()), *laws)
 
     @counted

@@ -29,7 +29,6 @@ from sim_core.core.materials import PointLaw, point_laws
 from sim_core.core.slopes import NumberSlopes
 from sim_core.energies.air_drag import AirDragTerm
 from sim_core.energies.bending import Bending
-from sim_core.energies.bending_strain import BendingStrain
 from sim_core.energies.membrane import Membrane
 from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.neo_hookean_moduli import apart
@@ -110,8 +109,8 @@ class _Body:
         if key == REST_ANGLE:
             total = self._adjoint.elements("rest_angle")[self._hinges()]
             for law, rows, _ in self._laws:
-                if isinstance(law.measure, BendingStrain):  # curvatures at the end and at the start of a step
-                    total = total + law.measure.by_rest_angles(rows[:, :3] + rows[:, 3:6])
+                if isinstance(law.measure.own, Bending):  # curvatures at the end and at the start of a step
+                    total = total - law.measure.own.operator.T @ (rows[:, :3] + rows[:, 3:6]).ravel()
             return np.asarray(total)
         if key in FLOW:
             return np.asarray(sum(rows[:, law.layout.places[key][0]] for law, rows, _ in self._laws if not law.prefix))
@@ -161,7 +160,7 @@ class _Body:
         if what == STIFFNESS_DAMPING:
             return damping
         change = term.stiffness_by(NU) if what == NU else term.stiffness
-        return np.asarray(term.areas * (stiffness * change).sum(axis=(1, 2)))
+        return np.asarray(term.sizes * (stiffness * change).sum(axis=(1, 2)))
 
     def _stretching(self, term: Membrane) -> tuple[np.ndarray, np.ndarray]:
         """Weights of A h C ``(m, 3, 3)`` and of the damping ``(m,)`` of the triangles."""
@@ -174,7 +173,7 @@ class _Body:
         where rates count; and of the damping beta ``(m,)``."""
         own, _ = self._curving.own[term.name]
         stiff, rubbed = (self._adjoint.elements(f"curve_{k}").reshape(-1, 3, 3)[own] for k in ("stiffness", "damping"))
-        damping = term.areas * (rubbed * term.stiffness).sum(axis=(1, 2))
+        damping = term.sizes * (rubbed * term.stiffness).sum(axis=(1, 2))
         return stiff + term.damping[:, None, None] * rubbed, np.asarray(damping)
 
     def _hinges(self) -> slice:
@@ -229,15 +228,15 @@ class _Body:
         )
         triangle = shape.pairs[0]
         moment = np.einsum("kij,kj->ki", bending.stiffness[triangle], stiff + bending.damping[triangle, None] * rubbed)
-        operator = operator + bending.areas[triangle, None] * moment
-        shape.pass_on(hats, work / bending.whole_areas, operator, self.by(REST_ANGLE, np.zeros(0)), total)
+        operator = operator + bending.sizes[triangle, None] * moment
+        shape.pass_on(hats, work / bending.whole_sizes, operator, self.by(REST_ANGLE, np.zeros(0)), total)
 
     def pass_on_gel(self, shape: GelShape, total: np.ndarray) -> None:
         """The same of a gel."""
         (term,) = (t for t in self._terms if isinstance(t, NeoHookean))
         own = _own(term, layout_of(self._scene).gels)
         gradient = self._adjoint.elements("gel_gradient").reshape(-1, 4, 10, 3)[own]
-        volume = self._adjoint.elements("gel_volume").reshape(-1, 4)[own] * term.weights
+        volume = self._adjoint.elements("gel_volume").reshape(-1, 4)[own] * term.sizes
         volume = volume + sum(work.reshape(-1, 4) for *_, work in self._laws)
         mass = self._masses(False) + self._alpha()[:, None, None] * self._masses(True)
         factor = self._scene.fields.factor(self._name, MASS)

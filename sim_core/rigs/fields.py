@@ -6,6 +6,7 @@ with the key that is expected and, where the value is a number, the converted va
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -55,6 +56,7 @@ EFFECT_PATTERN = r"^[a-z][a-z0-9_]*(@[a-z][a-z0-9_]*(-[a-z][a-z0-9_]*)?)?(#[a-z0
 TOPIC_PATTERN = r"^[~/]?/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$"
 
 
+@functools.cache
 def split_unit(key: str) -> tuple[str, str]:
     """Split a key into its stem and its unit suffix (empty for a key without a unit)."""
     for suffix in UNITS:
@@ -109,15 +111,16 @@ class Strict(BaseModel):
     def _check_keys(cls, data: object) -> object:
         if isinstance(data, BaseModel):
             return data
+        fields = cls.model_fields
         if not isinstance(data, Mapping):
-            keys = ", ".join(cls.model_fields)
+            keys = ", ".join(fields)
             raise trouble(f"is {describe(data)}, not a mapping.", f"Write 'key: value' lines with: {keys}.")
         data = cls.prepare({key: value for key, value in data.items()})
         for key in data:
-            if key not in cls.model_fields:
-                remedy = unknown_key(str(key), data[key], list(cls.model_fields))
+            if key not in fields:
+                remedy = unknown_key(str(key), data[key], list(fields))
                 raise trouble("is not a key that is known here.", remedy, key)
-        for key, field in cls.model_fields.items():
+        for key, field in fields.items():
             if field.is_required() and key not in data:
                 meaning = f" ({field.description})" if field.description else ""
                 raise trouble("is missing.", f"Add '{key}: ...'{meaning}.", key)

@@ -8,6 +8,7 @@ of a contact may be in any order, and where a rig has one body of a type the typ
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -57,13 +58,13 @@ def list_parameters(rig: Rig) -> tuple[Parameter, ...]:
 def resolve_name(rig: Rig, name: str) -> str:
     """Full name of a parameter from the name that a user writes."""
     known = [parameter.name for parameter in list_parameters(rig)]
+    if name.strip() in known:
+        return name.strip()
     spellings: dict[str, set[str]] = {}
     for full in known:
         for spelling in _spellings(rig, full):
             spellings.setdefault(spelling, set()).add(full)
     matches = spellings.get(name.strip(), set())
-    if name.strip() in known:
-        return name.strip()
     if len(matches) == 1:
         return next(iter(matches))
     if matches:
@@ -140,6 +141,7 @@ def _with_effects(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig.model_copy(update={"effects": {**rig.effects, **added}}) if added else rig
 
 
+@functools.cache
 def bounds_of(model: type[Strict], key: str) -> tuple[float, float]:
     """Bounds that a model's schema sets on a number."""
     lower, upper = -math.inf, math.inf

@@ -13,13 +13,11 @@ from sim_core.contact.inner_primitives import cores
 from sim_core.contact.samples import Samples, face_samples, face_triangles, sheet_samples
 from sim_core.contact.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
 from sim_core.energies.bending import Bending
-from sim_core.energies.bending_strain import BendingStrain
 from sim_core.energies.mass_damping import MassDamping
 from sim_core.energies.membrane import Membrane
-from sim_core.energies.membrane_strain import MembraneStrain
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.solid_strain import SolidStrain
-from sim_core.energies.strain_law import StrainLaws, StrainMeasure
+from sim_core.energies.strain import strain_of
+from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.errors import ConfigError
 from sim_core.geometry import closed, sheets, solids
@@ -228,12 +226,7 @@ def add_terms(body: BuiltBody, rest: np.ndarray, held: np.ndarray, loose: np.nda
 
 def strain_laws(own: Membrane | Bending | NeoHookean) -> StrainLaws:
     """The term of the material laws that effects add to the ``own`` term of a sheet or a gel."""
-    measure: StrainMeasure
-    if isinstance(own, NeoHookean):
-        measure = SolidStrain(own)
-    else:
-        measure = MembraneStrain(own) if isinstance(own, Membrane) else BendingStrain(own)
-    return StrainLaws(f"{own.name}_laws", measure)
+    return StrainLaws(f"{own.name}_laws", strain_of(own))
 
 
 def grain(body: BuiltBody) -> np.ndarray:

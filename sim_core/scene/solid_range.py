@@ -66,16 +66,17 @@ def softening_volume(nu: float) -> float:
     return 1.0 - c * (1.0 - s) / s
 
 
-def volumes_left(scene: Scene, before: np.ndarray, after: np.ndarray, time: float) -> list[LeastVolume]:
-    """What is left of each gel's volume on the way from ``before`` to ``after`` [m] ``(n, 3)``, at ``time`` [s]."""
+def volumes_left(scene: Scene, path: np.ndarray, times: np.ndarray) -> list[LeastVolume]:
+    """What is left of each gel's volume where that is least along a ``path`` of the nodes [m] ``(t, n, 3)``, straight
+    from each place to the next; ``times`` [s] ``(t - 1,)``: at which it is at each place but the last."""
     found = []
     for name, body in scene.bodies.items():
         for term in body.terms:
             if isinstance(term, NeoHookean):
-                least = least_volumes(term, before, after)
-                worst = int(np.argmin(least))
+                least = least_volumes(term, path)
+                step, worst = np.unravel_index(int(np.argmin(least)), least.shape)
                 corners = term.tets[worst, :4] - int(body.nodes[0])
                 x, y, z = body.local[corners].mean(axis=0).tolist()
-                nu = float(np.max(term.poisson_ratios))
-                found.append(LeastVolume(name, float(least[worst]), time, (x, y, z), softening_volume(nu)))
+                softening = softening_volume(float(np.max(term.poisson_ratios)))
+                found.append(LeastVolume(name, float(least[step, worst]), float(times[step]), (x, y, z), softening))
     return found

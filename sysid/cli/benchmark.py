@@ -42,9 +42,9 @@ def benchmark(
     """
     from sim_core.optimise import Settings
     from sim_core.optimise import method as method_named
-    from sim_core.optimise.benchmark import benchmark as make
-    from sim_core.optimise.benchmark import table
     from sim_core.tasks import load_task, task_names
+    from sysid.bench.tasks import benchmark as make
+    from sysid.bench.tasks import table
     from sysid.report.benchmark_page import write_benchmark_page
 
     names = parse_names(methods, "--methods", "hybrid,cma")

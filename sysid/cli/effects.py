@@ -58,7 +58,7 @@ def _described(effect: Any) -> dict[str, Any]:
         "source": effect.source,
         "follows": effect.follows,
         "passive": effect.passive,
-        "needs": effect.needs,
+        "needs": effect.scope.needs,
         "twins": list(effect.twins),
         "separated_by": effect.separated_by,
         "parameters": [

@@ -9,10 +9,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sim_core.optimise.benchmark import HEADS, Row, cells, results_of, run_folder
 from sim_core.optimise.run import TRACE
 from sim_core.rigs import load_rig
 from sim_core.tasks.load import MadeTask, load_task
+from sysid.bench.tasks import HEADS, Row, cells, results_of, run_folder
 from sysid.progress.callback import Progress
 from sysid.report.optimisation_curve import draw_curves
 from sysid.report.page import embedded_json, write_page

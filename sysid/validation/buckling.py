@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from sim_core.errors import ConfigError
-from sim_core.solve.modes import natural_vibrations
 from sim_core.solve.step import State, advance, exerted
 from sim_core.solve.system import System
 from sysid.validation import planar_elastica
 from sysid.validation.case import STATICS, THRESHOLDS, Case, compare
+from sysid.validation.small_motions import natural_vibrations
 from sysid.validation.specimens import DENSITY, FINE, LONG, MESHES, Strip, described, rest, strip
 
 EULER = {

@@ -23,10 +23,10 @@ from sim_core.energies.neo_hookean import NeoHookean
 from sim_core.energies.term import Term
 from sim_core.geometry.sheets import rectangle
 from sim_core.geometry.solids import block, consistent_mass
-from sim_core.solve.modes import natural_vibrations
 from sim_core.solve.step import NewtonSettings, State, advance
 from sim_core.solve.system import System
 from sysid.validation.case import FREQUENCIES, Case
+from sysid.validation.small_motions import natural_vibrations
 
 TIGHT = NewtonSettings(step_tolerance_m=1e-12, force_tolerance=1e-9)
 LENGTH, WIDTH = 0.1, 0.02

@@ -17,10 +17,10 @@ import numpy as np
 
 from sim_core.rigs import Rig, parse_rig, with_parameters
 from sim_core.scene import build_scene
-from sim_core.solve.modes import natural_vibrations
 from sim_core.stepping import Simulation
 from sysid.validation.buckling import zero
 from sysid.validation.case import THRESHOLDS, Case
+from sysid.validation.small_motions import natural_vibrations
 
 PRANDTL = 4.0126
 LENGTH, DEPTH, THICKNESS, MODULUS = 0.4, 0.01, 2e-4, 3e9

@@ -19,10 +19,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_core.solve.modes import linear_response
 from sysid.validation.case import STATICS, Case, NotCovered
 from sysid.validation.shells import grid, hemisphere_system
 from sysid.validation.shells_of_revolution import cylinder, deflection, sphere
+from sysid.validation.small_motions import linear_response
 from sysid.validation.specimens import sheet_system
 
 ROOF, RING = 0.3006, np.pi / 4.0 - 2.0 / np.pi

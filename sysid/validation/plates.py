@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from sim_core.geometry.sheets import SheetMesh, rectangle
-from sim_core.solve.modes import natural_vibrations
 from sim_core.solve.system import System
 from sysid.validation.case import FREQUENCIES, STATICS, Case
+from sysid.validation.small_motions import natural_vibrations
 from sysid.validation.specimens import DENSITY, load_up, sheet_system
 
 LAMBDA = {

@@ -17,10 +17,10 @@ import numpy as np
 
 from sim_core.rigs import Rig, parse_rig
 from sim_core.scene import build_scene
-from sim_core.solve.modes import natural_vibrations
 from sim_core.stepping import Simulation
 from sysid.validation.case import FREQUENCIES, STATICS, Case
 from sysid.validation.plates import SAG, TIMOSHENKO
+from sysid.validation.small_motions import natural_vibrations
 
 SIDE, THICKNESS, MODULUS, DENSITY = 0.1, 5e-4, 1e9, 1000.0
 FREE, FREE_NU = 13.468198, 0.3

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from sim_core.effects.base import Values
 from sim_core.effects.registry import effect_by_name
 from sim_core.energies.neo_hookean import NeoHookean
-from sim_core.energies.solid_strain import SolidStrain
+from sim_core.energies.strain import SolidStrain
 from sim_core.energies.strain_law import StrainLaws
 from sim_core.energies.term import Term
 from sim_core.geometry import tet10

@@ -21,8 +21,8 @@ from scipy.special import ellipk
 
 from sim_core.errors import ConfigError
 from sim_core.scene import build_scene
-from sim_core.solve.modes import natural_vibrations
 from sim_core.solve.step import NewtonSettings, advance
+from sysid.validation.small_motions import natural_vibrations
 
 L, W = 0.1, 0.02
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from material_points import pushes, responses, stresses
 from no_compiler import without_compiler
 
 from sim_core.core.lowering import LoweringError
@@ -34,22 +35,22 @@ def points(effect, size):
 def test_a_law_in_numpy_is_that_which_was_compiled(name, monkeypatch):
     effect = LAWS[name]
     layout, rows, changes = points(effect, 6 if effect.parts == ("solid",) else 3)
-    response, pushed = effect.formula.respond(layout, rows), effect.formula.push(layout, rows, changes)
+    response, pushed = responses(effect.formula, layout, rows), pushes(effect.formula, layout, rows, changes)
     without_compiler(monkeypatch)
     plain = MaterialFormula(effect.formula._function)
     with pytest.warns(UserWarning, match="run in numpy"):
-        again = plain.respond(layout, rows)
+        again = responses(plain, layout, rows)
     scale = np.abs(response).max(axis=0)
     np.testing.assert_allclose(again, response, rtol=1e-10, atol=1e-12 * float(scale.max()))
-    np.testing.assert_allclose(plain.push(layout, rows, changes), pushed, rtol=1e-10, atol=1e-10 * np.abs(pushed).max())
     held = changes.copy()
     held[..., : layout.size] = 0.0  # the strain
-    pushed = effect.formula.push(layout, rows, held)
-    np.testing.assert_allclose(plain.push(layout, rows, held), pushed, rtol=1e-10, atol=1e-10 * np.abs(pushed).max())
+    for some, there in ((changes, pushed), (held, pushes(effect.formula, layout, rows, held))):
+        again = pushes(plain, layout, rows, some)
+        np.testing.assert_allclose(again, there, rtol=1e-10, atol=1e-10 * np.abs(there).max())
     # Energy and stress alone are those that come with the tangent.
     first = response[:, : 1 + layout.size]
     for formula in (effect.formula, plain):
-        found = formula.stress(layout, rows)
+        found = stresses(formula, layout, rows)
         np.testing.assert_allclose(found, first, rtol=1e-10, atol=1e-12 * float(np.abs(first).max()))
 
 
@@ -57,8 +58,8 @@ def test_changes_are_taken_by_eights_and_the_rest():
     effect = LAWS["bending_friction"]
     layout, rows, changes = points(effect, 3)
     many = np.concatenate([changes * k for k in range(1, 4)])
-    found = effect.formula.push(layout, rows, many)
-    alone = np.concatenate([effect.formula.push(layout, rows, change[None]) for change in many])
+    found = pushes(effect.formula, layout, rows, many)
+    alone = np.concatenate([pushes(effect.formula, layout, rows, change[None]) for change in many])
     assert found.shape == (9, 5, 6)
     np.testing.assert_array_equal(found, alone)
 
@@ -76,9 +77,9 @@ def test_derivatives_along_changes_with_the_strain_held(monkeypatch):
     rows = layout.rows({**given, "share": 0.7}, 6)
     changes = rng.standard_normal((3, *rows.shape))
     changes[..., :3] = 0.0
-    found = MaterialFormula(mixed).push(layout, rows, changes)
+    found = pushes(MaterialFormula(mixed), layout, rows, changes)
     without_compiler(monkeypatch)
-    expected = MaterialFormula(mixed).push(layout, rows, changes)
+    expected = pushes(MaterialFormula(mixed), layout, rows, changes)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * np.abs(expected).max())
 
 

@@ -175,7 +175,7 @@ def run(*arguments):
 
 
 def test_the_command_prints_figures():
-    done = run("strip_pull", "pull_strip", "--params", "strip.E_pa", "--json")
+    done = run("strip_coarse", "pull_taut", "--params", "strip.E_pa", "--json")
     assert done.returncode == 0, done.stderr
     data = json.loads(done.stdout)
     assert data["outlooks"][0]["parameters"][0]["determined"]

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from material_points import Strained, respond
 from scipy.spatial.transform import Rotation
 
 from sim_core.effects import all_effects, effect_by_name
-from sim_core.effects.hooks import Channel, CommandMap, Strained
-from sim_core.energies.solid_strain import SHEAR
+from sim_core.effects.hooks import Channel, CommandMap
+from sim_core.energies.strain import SHEAR
 from sim_core.materials.elastic import plane_stress
 
 NU = 0.3
@@ -25,7 +26,7 @@ def driven(name: str, values: dict[str, float], path: np.ndarray, stiffness: np.
     state = {n: np.zeros((1, *shape)) for n, shape in effect.state().items()}
     before, out = np.zeros((1, path.shape[1])), []
     for strain in path[:, None]:
-        found = effect.respond(Strained(strain, before, stiffness, state, 0.01), values)
+        found = respond(effect, Strained(strain, before, stiffness, state, 0.01), values)
         state, before = dict(found.state), strain
         out.append(found.stress[0])
     return np.array(out)

@@ -12,6 +12,7 @@ from effect_examples import TYPICAL
 from sim_core.effects import Effect, EffectParameter, all_effects, effect_by_name
 from sim_core.effects.hooks import BodyForce, ClockMap, NormalLaw, ReadingMap
 from sim_core.effects.registry import checked
+from sim_core.effects.scopes import CONTACTS
 from sim_core.errors import ConfigError
 from sim_core.rigs import Rig
 from sim_core.rigs.motion import Experiment
@@ -73,7 +74,7 @@ def test_is_refused_where_it_acts_on_nothing(name: str, small_rig: Callable[...,
     rig = small_rig().model_copy(update={**nothing, "effects": {name: TYPICAL[name]}})
     with pytest.raises(ConfigError, match=f"{name} acts on nothing .* it needs") as refused:
         active_effects(rig)
-    assert effect_by_name(name).needs in str(refused.value)
+    assert effect_by_name(name).scope.needs in str(refused.value)
 
 
 @pytest.mark.parametrize("name", all_effects())
@@ -108,7 +109,7 @@ def _incomplete() -> Iterator[tuple[type[Effect], str]]:
         "title": "it pulls",
         "words": "It pulls.",
         "slot": "contact",
-        "needs": "a contact",
+        "scope": CONTACTS,
         "parameters": (AMOUNT,),
     }
 
@@ -122,14 +123,15 @@ def _incomplete() -> Iterator[tuple[type[Effect], str]]:
         }
         return type("Unfinished", (base,), body)
 
-    yield made(NormalLaw, "targets", "reach"), "energy"
-    yield made(ReadingMap, "targets", "read", "push"), "pull"
-    yield made(BodyForce, "targets", "terms"), "numbers"
-    yield made(NormalLaw, "targets", "reach", "energy", title=""), "title"
-    yield made(NormalLaw, "targets", "reach", "energy", example={}), "example"
+    yield made(NormalLaw, "reach"), "energy"
+    yield made(ReadingMap, "read", "push"), "pull"
+    yield made(BodyForce, "terms"), "numbers"
+    yield made(NormalLaw, "reach", "energy", title=""), "title"
+    yield made(NormalLaw, "reach", "energy", scope=None), "scope"
+    yield made(NormalLaw, "reach", "energy", example={}), "example"
     fixed = EffectParameter("shape", "-", 0.0, 1.0, (0.1,), None, False, 0.1, "a shape")
     yield (
-        made(NormalLaw, "targets", "reach", "energy", parameters=(fixed,), example={"shape": 0.5}),
+        made(NormalLaw, "reach", "energy", parameters=(fixed,), example={"shape": 0.5}),
         "vanishes",
     )
 

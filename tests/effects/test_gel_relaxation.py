@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from material_points import Response, Strained, respond
 
 from sim_core.effects import effect_by_name
-from sim_core.effects.hooks import Response, Strained
 from sim_core.effects.registry import active_effects
-from sim_core.energies.solid_strain import SHEAR
+from sim_core.energies.strain import SHEAR
 from sim_core.errors import ConfigError
 
 MU, VALUES = 3e4, {"share": 0.3, "tau_s": 0.1}
@@ -41,7 +41,7 @@ class Point:
 
     def step(self, to: np.ndarray, dt: float) -> Response:
         seen = Strained(to[None], self._before[None], MU * SHEAR[None], {"stress": self._kept[None]}, dt)
-        found = self._law.respond(seen, VALUES)
+        found = respond(self._law, seen, VALUES)
         self._before, self._kept = to, found.state["stress"][0]
         return found
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from material_points import Strained, respond
 
-from sim_core.effects.hooks import Strained
 from sim_core.effects.viscoelastic_sheet import ViscoelasticSheet
 from sim_core.materials.elastic import plane_stress
 
@@ -21,12 +21,12 @@ def seen(strain: np.ndarray, before: np.ndarray, spring: np.ndarray, dt: float) 
 def test_the_stress_of_a_held_strain_fades_exponentially(dt: float) -> None:
     """After a ramp from rest within one step: g D e (1 - exp(-r)) / r, r = dt / tau, and from there exp(-t / tau)."""
     values, strain, none = {"share": 0.4, "tau_s": 0.05}, np.array([1e-3, -2e-3, 5e-4]), np.zeros(3)
-    found = LAW.respond(seen(strain, none, none, dt), values)
+    found = respond(LAW, seen(strain, none, none, dt), values)
     whole, ratio = 0.4 * STIFFNESS[0] @ strain, dt / 0.05
     np.testing.assert_allclose(found.stress[0], whole * (1.0 - np.exp(-ratio)) / ratio, rtol=1e-13)
     begun = found.stress[0]
     for k in range(1, 4):
-        found = LAW.respond(seen(strain, strain, found.state["spring"][0], dt), values)
+        found = respond(LAW, seen(strain, strain, found.state["spring"][0], dt), values)
         np.testing.assert_allclose(found.stress[0], begun * np.exp(-k * ratio), rtol=1e-12)
 
 
@@ -40,7 +40,7 @@ def test_passive_along_any_path_in_steps_of_any_length() -> None:
     strain, spring, lost = np.zeros(3), np.zeros(3), []
     for dt in 10.0 ** rng.uniform(-5, 2, 2000):
         then, strain = strain, rng.standard_normal(3)
-        found = LAW.respond(seen(strain, then, spring, dt), values)
+        found = respond(LAW, seen(strain, then, spring, dt), values)
         new = found.state["spring"][0]
         lost.append((found.stress[0] @ (strain - then) - stored(new) + stored(spring)) / (stored(new) + stored(spring)))
         spring = new

@@ -9,9 +9,9 @@ from sim_core.errors import ConfigError
 from sim_core.rigs import list_parameters, with_parameters
 from sim_core.scene import build_scene
 from sim_core.solve.integrator import Past
-from sim_core.solve.modes import natural_vibrations
 from sysid.validation.damping import damped as damped_specimen
 from sysid.validation.damping import decrement, expected, flown, gel_bar, sheet, spun, vibrations
+from sysid.validation.small_motions import natural_vibrations
 
 SPECIMENS = ("cantilever, first bending mode", "strip, first axial mode", "bar of gel, first axial mode")
 TURNS = [Rotation.from_rotvec(v) for v in ([0.2, -0.7, 0.4], [0.5, -0.1, 1.4])]

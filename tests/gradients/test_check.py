@@ -25,7 +25,7 @@ from sysid.model.sensor_streams import predicted, predicted_back
 EXPERIMENT = Experiment.model_validate(
     {
         "name": "short",
-        "motions": {"finger": [{"type": "slide", "by_m": [0.0, 0.0, -0.004], "speed_m_s": 0.02, "hold_s": 0.1}]},
+        "motions": {"finger": [{"type": "slide", "by_m": [0.0, 0.0, -0.004], "speed_m_s": 0.05, "hold_s": 0.06}]},
     }
 )
 

@@ -39,8 +39,10 @@ def term() -> NeoHookean:
 )
 def test_the_least_volume_on_the_straight_way(gradient: np.ndarray, least: float) -> None:
     """Closed forms; a turn by a comes to cos(a/2)^2."""
-    found = least_volumes(term(), BLOCK.nodes, BLOCK.nodes @ gradient.T)
-    np.testing.assert_allclose(found, least, atol=1e-9)
+    path = np.stack([BLOCK.nodes, BLOCK.nodes @ gradient.T, BLOCK.nodes @ gradient.T])
+    found = least_volumes(term(), path)
+    np.testing.assert_allclose(found[0], least, atol=1e-9)
+    np.testing.assert_allclose(found[1], np.linalg.det(gradient), atol=1e-9)  # it stays there
 
 
 @pytest.mark.parametrize("nu", [0.2, 0.3, 0.45, 0.49])

@@ -5,9 +5,9 @@ from sheet_systems import both_ends, film, left
 
 from sim_core.rigs import load_rig
 from sim_core.scene import build_scene
-from sim_core.solve.modes import tangent_stiffness
 from sim_core.solve.step import NewtonSettings, State, advance
 from sim_core.stepping import Simulation
+from sysid.validation.small_motions import tangent_stiffness
 
 
 def swing(settings=None, steps=6):

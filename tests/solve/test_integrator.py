@@ -9,10 +9,10 @@ import scipy.sparse as sp
 
 from sim_core.energies.membrane import Membrane
 from sim_core.geometry.sheets import rectangle
-from sim_core.solve.modes import tangent_stiffness
 from sim_core.solve.report import NewtonSettings
 from sim_core.solve.step import State, advance
 from sim_core.solve.system import System
+from sysid.validation.small_motions import tangent_stiffness
 
 TIGHT = NewtonSettings(force_tolerance=1e-9)
 

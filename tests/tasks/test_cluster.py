@@ -19,12 +19,12 @@ from small_task import small_task
 
 from sim_core.errors import ConfigError, WorkerError
 from sim_core.optimise import Settings, optimise
-from sim_core.optimise.benchmark import benchmark
 from sim_core.optimise.cluster import ClusterEvaluator, cluster_evaluator, on_worker, versions
 from sim_core.optimise.evaluators import Request
 from sim_core.optimise.problem import read_log
 from sim_core.rigs import with_parameters
 from sim_core.tasks import MadeTask
+from sysid.bench.tasks import benchmark
 
 distributed = pytest.importorskip("distributed")
 CommClosedError = pytest.importorskip("distributed.comm").CommClosedError

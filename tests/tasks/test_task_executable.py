@@ -15,9 +15,9 @@ from thinshell_ros.replay.session import checked
 
 SMOOTH = [
     f"{name}:{variant}"
-    for name in task_names()
-    for variant in read_task(name).variants
-    if load_task(f"{name}:{variant}").actions.profile == "linear"
+    for name, task in ((name, read_task(name)) for name in task_names())
+    for variant, own in task.variants.items()
+    if (own.actions or task.actions).profile == "linear"
 ]
 
 
