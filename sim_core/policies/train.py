@@ -2,13 +2,15 @@
 
     policy.json      what is learnt, and how (:class:`Training`)
     progress.json    the last checkpoint, and what it took up to there
-    checkpoint_N/    model.zip, normalisation.pkl and, for SAC, replay.pkl
+    encoder.npz      what the policy sees of observations (:mod:`sim_core.policies.encoder`)
+    checkpoint_N/    model.zip and, for SAC, replay.pkl
     episodes.jsonl   each episode: its materials, return, reward, whether it was a success, why it ended early
 
-PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3; observations are normalised
-by their running mean and variance. Training is made of rounds, and each round begins with new episodes and with all
-random numbers drawn anew from the seed and its number. So one that goes on from a checkpoint, which is made after each
-round, gives to the bit what it gives without an interruption.
+PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3. Before the first round, the
+encoder is fitted to as many episodes as a round has, with decisions that are drawn. A policy begins with decisions
+about zero: it makes the motion about which it decides. Training is made of rounds, and each round begins with new
+episodes and with all random numbers drawn anew from the seed and its number. So one that goes on from a checkpoint,
+which is made after each round, gives to the bit what it gives without an interruption.
 """
 
 from __future__ import annotations
@@ -31,16 +33,17 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecNormalize
 
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.policies.batch import Batch
+from sim_core.policies.encoder import Encoder, fitted, read_encoder
 from sim_core.tasks.environment import TaskEnv
 from sim_core.tasks.observation import Kind
 
 POLICY, PROGRESS, EPISODES, CHECKPOINT = "policy.json", "progress.json", "episodes.jsonl", "checkpoint_{}"
+ENCODER = "encoder.npz"
 
-FORMAT = 1
+FORMAT = 2
 
 NETWORK = [64, 64]
 """Sizes of the hidden layers of all networks."""
@@ -55,7 +58,7 @@ ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
 """What is not the library's default. Rollouts cost much more than steps of an optimiser, so that rates are high."""
 
 SPREAD = -1.0
-"""Logarithm of the standard deviation of PPO's first decisions."""
+"""Logarithm of the standard deviation of the first decisions, and of those by which the encoder is fitted."""
 
 UPDATES = 8
 """Steps of SAC's optimiser for each decision."""
@@ -121,13 +124,16 @@ def train(
     torch.set_num_threads(1)  # sums of other numbers of threads differ in their last digits
     batch = Batch(training.task, training.envs, workers, **training.options())
     try:
-        model, normal = _model(training, progress, folder, batch)
+        if not (folder / ENCODER).exists():
+            progress = _with_encoder(training, progress, folder, batch)
+        batch.see_by(read_encoder(folder / ENCODER))
+        model = _model(training, progress, folder, batch)
         for number in range(progress.rounds, rounds):
             if time.monotonic() - began > seconds:
                 break
             log = _Log(folder / EPISODES)
-            progress = _round(training, model, normal, number, progress, log)
-            _keep(model, normal, folder, progress)
+            progress = _round(training, model, batch, number, progress, log)
+            _keep(model, folder, progress)
             if on_round is not None:
                 on_round(
                     (number + 1) / rounds, f"{log.count} episodes, return {log.mean:.3g}, {log.successes} successes"
@@ -138,28 +144,81 @@ def train(
     return progress
 
 
+def _seed(training: Training, number: int) -> int:
+    """Of the round with this number, from 0 on; what comes before has -1."""
+    return int(np.random.SeedSequence([training.seed, number + 1]).generate_state(1)[0] >> 1)
+
+
+def _with_encoder(training: Training, before: Progress, folder: Path, batch: Batch) -> Progress:
+    """Fit the encoder, and write it."""
+    began = _Began()
+    seed = _seed(training, -1)
+    rng = np.random.default_rng(seed)
+    batch.seed(seed)
+    knots, episodes = _knots(batch), []
+    for _ in range(training.episodes):
+        seen = [batch.reset()]
+        for _ in range(knots):
+            drawn = np.exp(SPREAD) * rng.standard_normal((training.envs, *batch.action_space.shape))
+            observations, _, _, infos = batch.step(np.clip(drawn, -1.0, 1.0))
+            ends = [i.get("terminal_observation", o) for i, o in zip(infos, observations, strict=True)]
+            seen.append(np.array(ends))
+        episodes.append(np.stack(seen, axis=1))
+    fitted(_whole_episodes(np.concatenate(episodes)), batch.tasks.envs[0].noise).write(folder / ENCODER)
+    progress = _further(training, before, batch, began, 0, 0)
+    _write_progress(folder, progress)
+    return progress
+
+
+def _whole_episodes(observations: np.ndarray) -> np.ndarray:
+    """Those of episodes ``(n, d + 1, m)`` that did not end early: whose last entry counts the decisions."""
+    due = np.linspace(0.0, 1.0, observations.shape[1])
+    whole = observations[(np.abs(observations[:, :, -1] - due) < 1e-4).all(axis=1)]
+    if len(whole) < 2:
+        raise ConfigError(
+            "Fewer than 2 episodes with drawn decisions came to their end.",
+            "Choose a smaller reach, more episodes or another motion to decide about.",
+        )
+    return whole
+
+
 def _round(
-    training: Training, model: BaseAlgorithm, normal: VecNormalize, number: int, before: Progress, log: _Log
+    training: Training, model: BaseAlgorithm, batch: Batch, number: int, before: Progress, log: _Log
 ) -> Progress:
     """One round: new episodes, and all that is drawn from the seed and the number of the round."""
-    wall, cpu = time.monotonic(), time.process_time()
-    seed = int(np.random.SeedSequence([training.seed, number]).generate_state(1)[0] >> 1)
+    began, seed = _Began(), _seed(training, number)
     set_random_seed(seed)
     model.action_space.seed(seed)
-    normal.seed(seed)
-    model.set_env(normal, force_reset=True)
-    rollouts = [env.rollouts for env in normal.venv.tasks.envs]
-    decisions = rollouts[0].made.actions.knots * training.envs * training.episodes
-    model.learn(decisions, callback=log, reset_num_timesteps=False)
-    per_decision = (len(rollouts[0].times) - 1) / rollouts[0].made.actions.knots
+    batch.seed(seed)
+    model.set_env(batch, force_reset=True)
+    model.learn(_knots(batch) * training.envs * training.episodes, callback=log, reset_num_timesteps=False)
+    return _further(training, before, batch, began, 1, log.count)
+
+
+class _Began:
+    """When something began: wall time and process time [s]."""
+
+    def __init__(self) -> None:
+        self.wall, self.cpu = time.monotonic(), time.process_time()
+
+
+def _further(training: Training, before: Progress, batch: Batch, began: _Began, rounds: int, lines: int) -> Progress:
+    """After as many episodes as a round has."""
+    decisions = _knots(batch) * training.envs * training.episodes
+    steps = len(batch.tasks.envs[0].rollouts.times) - 1
     return Progress(
-        number + 1,
+        before.rounds + rounds,
         before.decisions + decisions,
-        before.steps + round(decisions * per_decision),
-        before.wall_s + time.monotonic() - wall,
-        before.cpu_s + time.process_time() - cpu,
-        before.lines + log.count,
+        before.steps + steps * training.envs * training.episodes,
+        before.wall_s + time.monotonic() - began.wall,
+        before.cpu_s + time.process_time() - began.cpu,
+        before.lines + lines,
     )
+
+
+def _knots(batch: Batch) -> int:
+    """Decisions of an episode."""
+    return int(batch.tasks.envs[0].made.actions.knots)
 
 
 class _Log(BaseCallback):
@@ -176,7 +235,7 @@ class _Log(BaseCallback):
         return self._returns / max(1, self.count)
 
     def _on_step(self) -> bool:
-        gained = self.training_env.get_original_reward()
+        gained = self.locals["rewards"]
         self._sums = gained.astype(float) if self._sums is None else self._sums + gained
         with self._path.open("a", encoding="utf-8") as stored:
             for k in np.flatnonzero(self.locals["dones"]):
@@ -190,44 +249,50 @@ class _Log(BaseCallback):
         return True
 
 
-def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -> tuple[BaseAlgorithm, VecNormalize]:
-    """The policy and the normalisation of its observations, new or of the last checkpoint."""
+def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -> BaseAlgorithm:
+    """The policy, new or of the last checkpoint."""
     kind, options = ALGORITHMS[training.algorithm]
     place = folder / CHECKPOINT.format(progress.rounds)
     if progress.rounds:
         with _reading(place):
-            normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-            model = kind.load(place / "model.zip", env=normal, device="cpu")
+            model = kind.load(place / "model.zip", env=batch, device="cpu")
             if isinstance(model, SAC):
                 model.load_replay_buffer(place / "replay.pkl")
-        return model, normal
-    normal = VecNormalize(batch, norm_reward=False, gamma=1.0)
+        return model
     policy: dict[str, Any] = {"net_arch": NETWORK}
-    knots = batch.tasks.envs[0].made.actions.knots
+    knots = _knots(batch)
     if training.algorithm == "ppo":
         policy["log_std_init"] = SPREAD
         options = {**options, "n_steps": knots, "batch_size": knots * training.envs}
     else:
         options = {**options, "train_freq": 1, "gradient_steps": UPDATES * training.envs, "buffer_size": 100_000}
     shared = {"gamma": 1.0, "policy_kwargs": policy, "device": "cpu", "seed": training.seed}
-    return kind("MlpPolicy", normal, **options, **shared), normal
+    model = kind("MlpPolicy", batch, **options, **shared)
+    if isinstance(model, SAC):
+        for layer, start in ((model.actor.mu, 0.0), (model.actor.log_std, SPREAD)):
+            torch.nn.init.zeros_(layer.weight)
+            torch.nn.init.constant_(layer.bias, start)
+    return model
 
 
-def _keep(model: BaseAlgorithm, normal: VecNormalize, folder: Path, progress: Progress) -> None:
+def _keep(model: BaseAlgorithm, folder: Path, progress: Progress) -> None:
     """Write a checkpoint, and then that it is the last one."""
     place = folder / CHECKPOINT.format(progress.rounds)
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
     model.save(place / "model.zip")
-    normal.save(str(place / "normalisation.pkl"))
     if isinstance(model, SAC):
         model.save_replay_buffer(place / "replay.pkl")
-    new = folder / f"{PROGRESS}.new"
-    new.write_text(json.dumps(asdict(progress), indent=1) + "\n", encoding="utf-8")
-    os.replace(new, folder / PROGRESS)
+    _write_progress(folder, progress)
     for old in folder.glob(CHECKPOINT.format("*")):
         if old != place:
             shutil.rmtree(old)
+
+
+def _write_progress(folder: Path, progress: Progress) -> None:
+    new = folder / f"{PROGRESS}.new"
+    new.write_text(json.dumps(asdict(progress), indent=1) + "\n", encoding="utf-8")
+    os.replace(new, folder / PROGRESS)
 
 
 def _opened(training: Training, folder: Path) -> Progress:
@@ -292,12 +357,11 @@ class Policy:
 
     training: Training
     model: BaseAlgorithm
-    normal: VecNormalize
+    encoder: Encoder
 
     def decision(self, observation: np.ndarray) -> np.ndarray:
         """What it decides for an observation ``(m,)``: ``(k,)``, without exploration."""
-        seen = self.normal.normalize_obs(observation[None])
-        decided, _ = self.model.predict(seen, deterministic=True)
+        decided, _ = self.model.predict(self.encoder.encode(observation[None]), deterministic=True)
         return np.asarray(decided[0])
 
 
@@ -307,9 +371,6 @@ def load_policy(folder: Path) -> Policy:
     place = folder / CHECKPOINT.format(progress.rounds)
     if not progress.rounds or not place.is_dir():
         raise ConfigError(f"{folder} has no checkpoint yet.", "Let 'thinshell policy train' make a round.")
-    batch = Batch(training.task, 1, 1, **training.options())
     with _reading(place):
-        normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-        normal.training = False
         model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", device="cpu")
-    return Policy(training, model, normal)
+    return Policy(training, model, read_encoder(folder / ENCODER))

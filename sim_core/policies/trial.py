@@ -1,4 +1,8 @@
-"""A learnt policy on materials that it has not seen, against the replayed motion and against searching anew.
+"""A learnt policy on materials that it has not seen, against replayed motions and against searching anew.
+
+Two motions are replayed: the one about which the policy decides, and the one that the policy makes on the rig as its
+file has it. Where the latter does as well as the policy, what was learnt is a better motion for all materials, and not
+how to change it from one material to another.
 
 Each material is written down as it is tried, so that a trial goes on where it was ended. A success is one that
 :class:`sim_core.tasks.check.Judge` has nothing against, with the cells and steps of the rig.
@@ -8,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +22,7 @@ from sim_core.optimise.evaluators import LocalEvaluator
 from sim_core.optimise.hybrid import hybrid
 from sim_core.optimise.problem import Budget, BudgetSpent, Evaluation, Problem
 from sim_core.policies.train import Policy, Training
+from sim_core.rigs import list_parameters, resolve_name
 from sim_core.tasks.check import Judge, judged
 from sim_core.tasks.environment import TaskEnv
 from sim_core.tasks.rollout import TaskRollouts
@@ -28,13 +33,16 @@ UNSEEN = 7919
 
 @dataclass(frozen=True)
 class Trial:
-    """One material. ``learnt``, ``replayed``: why the motions of the policy and the motion about which it decides are
-    no successes, in words, with their rewards (NaN where a rollout ended early); ``searched``: rollouts to a success of
-    a search from that motion, the budget where it had none, -1 where none was asked for; ``found``: whether it had."""
+    """One material. ``learnt``, ``replayed``, ``open_loop``: why the motions of the policy, the motion about which it
+    decides and its motion on the rig as its file has it are no successes, in words, with their rewards (NaN where a
+    rollout ended early); ``searched``: rollouts to a success of a search from the motion about which it decides, the
+    budget where it had none, -1 where none was asked for; ``found``: whether it had."""
 
     parameters: Mapping[str, float]
     learnt: tuple[str, ...]
     learnt_reward: float
+    open_loop: tuple[str, ...]
+    open_loop_reward: float
     replayed: tuple[str, ...] = ()
     replayed_reward: float = float("nan")
     searched: int = -1
@@ -45,6 +53,12 @@ def materials(training: Training, count: int, seed: int) -> list[dict[str, float
     """Drawn evenly from the intervals of a training, by another generator than its episodes."""
     rng = np.random.default_rng([UNSEEN, seed])
     return [{n: float(rng.uniform(low, high)) for n, (low, high) in training.vary.items()} for _ in range(count)]
+
+
+def nominal(training: Training, env: TaskEnv) -> dict[str, float]:
+    """The material that the file of the rig has, of the parameters that a training varies."""
+    varied = {resolve_name(env.made.rig, name) for name in training.vary}
+    return {p.name: p.value for p in list_parameters(env.made.rig) if p.name in varied and p.value is not None}
 
 
 def trials(
@@ -66,6 +80,7 @@ def trials(
     known = read_trials(path)
     env = TaskEnv(policy.training.task, **policy.training.options())
     around = None if policy.training.around is None else np.array(policy.training.around)
+    own: np.ndarray | None = None
     found: list[Trial] = []
     for number, parameters in enumerate(drawn):
         search = number < searches
@@ -74,11 +89,23 @@ def trials(
                 raise ConfigError(f"{path} has trials of other materials.", "Name another file.")
             found.append(known[number])
             continue
-        found.append(_tried(policy, env, number, parameters, around, budget if search else 0))
+        if own is None:
+            _motion(policy, env, UNSEEN, nominal(policy.training, env))
+            own = env.action_so_far.copy()
+        found.append(_tried(policy, env, number, parameters, around, own, budget if search else 0))
         with path.open("a", encoding="utf-8") as stored:
             stored.write(json.dumps(asdict(found[-1])) + "\n")
         on_trial(number + 1)
     return found
+
+
+def _motion(policy: Policy, env: TaskEnv, seed: int, parameters: Mapping[str, float]) -> str:
+    """Make an episode as the policy decides. Gives why it ended early; empty where it did not."""
+    observation, info = env.reset(seed=seed, options={"parameters": parameters})
+    over = False
+    while not over:
+        observation, _, over, _, info = env.step(policy.decision(observation))
+    return str(info["stopped"])
 
 
 def _tried(
@@ -87,29 +114,28 @@ def _tried(
     number: int,
     parameters: Mapping[str, float],
     around: np.ndarray | None,
+    own: np.ndarray,
     budget: int,
 ) -> Trial:
-    """One material."""
+    """One material. ``own``: the motion that the policy makes on the rig as its file has it."""
     judge = Judge(env.rollouts)
     env.look = judge.look
     seed = int(np.random.SeedSequence([UNSEEN, number]).generate_state(1)[0])
-    observation, info = env.reset(seed=seed, options={"parameters": parameters})
-    judge.begin()
-    over = False
-    while not over:
-        observation, _, over, _, info = env.step(policy.decision(observation))
-    learnt, learnt_reward = judge.failures(info["stopped"])
-    trial = Trial(dict(parameters), tuple(learnt), learnt_reward)
-    if around is None:
-        start = np.zeros(env.rollouts.space.size)
-    else:
-        start = around
-        replayed, reward = judged(env.rollouts, around)
-        trial = Trial(dict(parameters), tuple(learnt), learnt_reward, tuple(replayed), reward)
+    learnt, learnt_reward = judge.failures(_motion(policy, env, seed, parameters))
+    trial = Trial(dict(parameters), tuple(learnt), learnt_reward, *_judged(env, own))
+    if around is not None:
+        replayed, reward = _judged(env, around)
+        trial = replace(trial, replayed=replayed, replayed_reward=reward)
     if not budget:
         return trial
-    rollouts, success = searched(env.rollouts, start, budget)
-    return Trial(**{**asdict(trial), "searched": rollouts, "found": success})
+    rollouts, success = searched(env.rollouts, np.zeros(env.rollouts.space.size) if around is None else around, budget)
+    return replace(trial, searched=rollouts, found=success)
+
+
+def _judged(env: TaskEnv, motion: np.ndarray) -> tuple[tuple[str, ...], float]:
+    """Why a motion is no success on the present material, in words, and its reward."""
+    failures, reward = judged(env.rollouts, motion)
+    return tuple(failures), reward
 
 
 def searched(rollouts: TaskRollouts, start: np.ndarray, budget: int) -> tuple[int, bool]:
@@ -142,6 +168,7 @@ def read_trials(path: Path) -> list[Trial]:
         path.write_text("".join(whole), encoding="utf-8")
     try:
         rows = [json.loads(line) for line in whole]
-        return [Trial(**{**row, "learnt": tuple(row["learnt"]), "replayed": tuple(row["replayed"])}) for row in rows]
+        words = ("learnt", "open_loop", "replayed")
+        return [Trial(**{**row, **{name: tuple(row[name]) for name in words}}) for row in rows]
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} has no trials of a policy: {error}.", "Name another file.") from None

@@ -99,8 +99,8 @@ def test(
     budget: Annotated[int, whole_number("--budget", "Rollouts of such a search.", 1)] = 30,
     seed: SeedOption = 1,
 ) -> None:
-    """Try a policy on materials that it has not seen, against the motion about which it decides and against searching
-    anew from that. What was tried is not tried again.
+    """Try a policy on materials that it has not seen, against replaying one motion on all of them (that about which it
+    decides, and its own on the rig as its file has it) and against searching anew. What was tried is not tried again.
 
     Example: thinshell policy test policies/folding_u --materials 100 --searches 20
     """
@@ -117,10 +117,11 @@ def test(
         path = folder / TRIALS.format(read_progress(folder).rounds)
         found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=on_trial)
     _print_share("policy", [not t.learnt for t in found], [t.learnt_reward for t in found])
+    _print_share("its motion on the rig's file", [not t.open_loop for t in found], [t.open_loop_reward for t in found])
+    _print_alone(found, [t.open_loop for t in found])
     if policy.training.around is not None:
         _print_share("replay", [not t.replayed for t in found], [t.replayed_reward for t in found])
-        both = [(not t.learnt, not t.replayed) for t in found]
-        print(f"  the policy alone on {both.count((True, False))}, the replay alone on {both.count((False, True))}")
+        _print_alone(found, [t.replayed for t in found])
     _print_searches(found)
 
 
@@ -147,6 +148,11 @@ def _print_share(words: str, successes: Sequence[bool], rewards: Sequence[float]
         f"{words}: {sum(successes)} of {len(successes)} successes (95 %: {100 * interval.low:.0f} to "
         f"{100 * interval.high:.0f} %), {mean}"
     )
+
+
+def _print_alone(found: Sequence[Trial], replayed: Sequence[tuple[str, ...]]) -> None:
+    both = [(not trial.learnt, not failures) for trial, failures in zip(found, replayed, strict=True)]
+    print(f"  the policy alone on {both.count((True, False))}, the replay alone on {both.count((False, True))}")
 
 
 def _print_searches(found: Sequence[Trial]) -> None:

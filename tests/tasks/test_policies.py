@@ -40,7 +40,7 @@ def test_a_training_that_was_ended_goes_on_as_if_it_had_not_been(tmp_path: Path,
     with (tmp_path / "parts/episodes.jsonl").open("a") as log:
         log.write("of a round that was cut off\n")
     parts = train(wanted, 2, tmp_path / "parts", workers=2)
-    assert (whole.rounds, whole.decisions, whole.lines) == (parts.rounds, parts.decisions, parts.lines) == (2, 16, 8)
+    assert (whole.rounds, whole.decisions, whole.lines) == (parts.rounds, parts.decisions, parts.lines) == (2, 24, 8)
     ours, theirs = (load_policy(tmp_path / name).model.policy.state_dict() for name in ("whole", "parts"))
     first = load_policy(tmp_path / "whole").model.num_timesteps
     assert first == 16 and all(torch.equal(ours[key], theirs[key]) for key in ours)
@@ -74,6 +74,9 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
     assert [t.parameters for t in found] == materials(wanted, 3, 1)
     assert found[0].searched == 4 and not found[0].found and found[1].searched == -1
     assert "policy: 0 of 3 successes" in printed and "replay: 0 of 3" in printed and "search: 0 of 1" in printed
+    assert "its motion on the rig's file: 0 of 3" in printed
+    assert len({t.open_loop_reward for t in found}) == 3
+    assert all(t.open_loop_reward != t.learnt_reward != t.replayed_reward for t in found)
     assert all("less than 0.05" in t.learnt[0] and "less than 0.05" in t.replayed[0] for t in found)
     rewards = {t.replayed_reward for t in found}
     assert len(rewards) == 3, "the same motion on other materials"
@@ -95,6 +98,7 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
             "There is no algorithm 'sacc'. Did you mean 'sac'?",
         ),
         (["train", "folding_u", "--around", "nowhere", "--out", "x"], "nowhere is no folder of a search"),
+        (["train", "folding_u", "--reach", "0", "--out", "x"], "reach is 0, the share of the bounds"),
         (["train", "folding_u", "--observe", "all", "--out", "x"], "--observe is 'all'."),
         (["test", "nowhere"], "nowhere has no policy"),
     ],
@@ -129,7 +133,7 @@ def test_progress_that_cannot_be_read_is_named(tmp_path: Path, text: str) -> Non
 def test_a_checkpoint_without_its_files_is_named(tmp_path: Path) -> None:
     wanted, out = training(tmp_path, "sac"), tmp_path / "out"
     (out / "checkpoint_3").mkdir(parents=True)
-    about = json.loads(json.dumps({"format": 1, **asdict(wanted)}))
+    about = json.loads(json.dumps({"format": 2, **asdict(wanted)}))
     (out / "policy.json").write_text(json.dumps(about))
     (out / "progress.json").write_text('{"rounds": 3}')
     with pytest.raises(ConfigError, match=r"The checkpoint .*checkpoint_3 cannot be read.*Train anew"):
