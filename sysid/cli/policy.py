@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -118,10 +119,10 @@ def test(
         found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=on_trial)
     _print_share("policy", [not t.learnt for t in found], [t.learnt_reward for t in found])
     _print_share("its motion on the rig's file", [not t.open_loop for t in found], [t.open_loop_reward for t in found])
-    _print_alone(found, [t.open_loop for t in found])
+    _print_alone(found, [(t.open_loop, t.open_loop_reward) for t in found])
     if policy.training.around is not None:
         _print_share("replay", [not t.replayed for t in found], [t.replayed_reward for t in found])
-        _print_alone(found, [t.replayed for t in found])
+        _print_alone(found, [(t.replayed, t.replayed_reward) for t in found])
     _print_searches(found)
 
 
@@ -150,9 +151,21 @@ def _print_share(words: str, successes: Sequence[bool], rewards: Sequence[float]
     )
 
 
-def _print_alone(found: Sequence[Trial], replayed: Sequence[tuple[str, ...]]) -> None:
-    both = [(not trial.learnt, not failures) for trial, failures in zip(found, replayed, strict=True)]
-    print(f"  the policy alone on {both.count((True, False))}, the replay alone on {both.count((False, True))}")
+def _print_alone(found: Sequence[Trial], replays: Sequence[tuple[Sequence[str], float]]) -> None:
+    """The policy against a replayed motion, of which each has its failures and its reward, material by material."""
+    pairs = list(zip(found, replays, strict=True))
+    alone = sum(not t.learnt and bool(failures) for t, (failures, _) in pairs)
+    without = sum(bool(t.learnt) and not failures for t, (failures, _) in pairs)
+    higher = sum(_or_least(t.learnt_reward) > _or_least(reward) for t, (_, reward) in pairs)
+    print(
+        f"  the policy alone on {alone}, the replay alone on {without}; "
+        f"the policy has the higher reward on {higher} of {len(pairs)}"
+    )
+
+
+def _or_least(reward: float) -> float:
+    """A reward, or less than any where a rollout ended early."""
+    return reward if math.isfinite(reward) else -math.inf
 
 
 def _print_searches(found: Sequence[Trial]) -> None:

@@ -75,6 +75,8 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
     assert found[0].searched == 4 and not found[0].found and found[1].searched == -1
     assert "policy: 0 of 3 successes" in printed and "replay: 0 of 3" in printed and "search: 0 of 1" in printed
     assert "its motion on the rig's file: 0 of 3" in printed
+    higher = sum(t.learnt_reward > t.replayed_reward for t in found)
+    assert printed.splitlines()[4].endswith(f"the policy has the higher reward on {higher} of 3")
     assert len({t.open_loop_reward for t in found}) == 3
     assert all(t.open_loop_reward != t.learnt_reward != t.replayed_reward for t in found)
     assert all("less than 0.05" in t.learnt[0] and "less than 0.05" in t.replayed[0] for t in found)
