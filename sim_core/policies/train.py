@@ -6,11 +6,11 @@
     checkpoint_N/    model.zip and, for SAC, replay.pkl
     episodes.jsonl   each episode: its materials, return, reward, whether it was a success, why it ended early
 
-PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3. Before the first round, the
-encoder is fitted to as many episodes as a round has, with decisions that are drawn. A policy begins with decisions
-about zero: it makes the motion about which it decides. Training is made of rounds, and each round begins with new
-episodes and with all random numbers drawn anew from the seed and its number. So one that goes on from a checkpoint,
-which is made after each round, gives to the bit what it gives without an interruption.
+PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3. Training is made of rounds. In
+the first one decisions are drawn about zero; the encoder is fitted to what is observed, and SAC learns from it later. A
+policy begins with decisions about zero too: it makes the motion about which it decides. Each round begins with new
+episodes and with all random numbers drawn anew from the seed and its number. So a training that goes on from a
+checkpoint, which is made after each round, gives to the bit what it gives without an interruption.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -52,13 +52,14 @@ ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
     "ppo": (PPO, {"learning_rate": 1e-3}),
     "sac": (
         SAC,
-        {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.01", "learning_rate": 1e-3},
+        {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.003"},
     ),
 }
-"""What is not the library's default. Rollouts cost much more than steps of an optimiser, so that rates are high."""
+"""What is not the library's default."""
 
-SPREAD = -1.0
-"""Logarithm of the standard deviation of the first decisions, and of those by which the encoder is fitted."""
+SPREAD = -1.6
+"""Logarithm of the standard deviation of the first decisions: a fifth of what may be decided, since noise in all
+components of all decisions adds up."""
 
 UPDATES = 8
 """Steps of SAC's optimiser for each decision."""
@@ -124,10 +125,10 @@ def train(
     torch.set_num_threads(1)  # sums of other numbers of threads differ in their last digits
     batch = Batch(training.task, training.envs, workers, **training.options())
     try:
-        if not (folder / ENCODER).exists():
-            progress = _with_encoder(training, progress, folder, batch)
+        if not progress.rounds:
+            progress = _first_round(training, folder, batch)
         batch.see_by(read_encoder(folder / ENCODER))
-        model = _model(training, progress, folder, batch)
+        model = _read_model(training, progress, folder, batch)
         for number in range(progress.rounds, rounds):
             if time.monotonic() - began > seconds:
                 break
@@ -145,41 +146,47 @@ def train(
 
 
 def _seed(training: Training, number: int) -> int:
-    """Of the round with this number, from 0 on; what comes before has -1."""
-    return int(np.random.SeedSequence([training.seed, number + 1]).generate_state(1)[0] >> 1)
+    """Of the round with this number."""
+    return int(np.random.SeedSequence([training.seed, number]).generate_state(1)[0] >> 1)
 
 
-def _with_encoder(training: Training, before: Progress, folder: Path, batch: Batch) -> Progress:
-    """Fit the encoder, and write it."""
-    began = _Began()
-    seed = _seed(training, -1)
+def _first_round(training: Training, folder: Path, batch: Batch) -> Progress:
+    """Decisions that are drawn: fit the encoder, begin the policy, and let SAC remember them."""
+    began, log, seed = _Began(), _Log(folder / EPISODES), _seed(training, 0)
     rng = np.random.default_rng(seed)
+    set_random_seed(seed)
     batch.seed(seed)
-    knots, episodes = _knots(batch), []
-    for _ in range(training.episodes):
-        seen = [batch.reset()]
-        for _ in range(knots):
-            drawn = np.exp(SPREAD) * rng.standard_normal((training.envs, *batch.action_space.shape))
-            observations, _, _, infos = batch.step(np.clip(drawn, -1.0, 1.0))
-            ends = [i.get("terminal_observation", o) for i, o in zip(infos, observations, strict=True)]
-            seen.append(np.array(ends))
-        episodes.append(np.stack(seen, axis=1))
-    fitted(_whole_episodes(np.concatenate(episodes)), batch.tasks.envs[0].noise).write(folder / ENCODER)
-    progress = _further(training, before, batch, began, 0, 0)
-    _write_progress(folder, progress)
-    return progress
-
-
-def _whole_episodes(observations: np.ndarray) -> np.ndarray:
-    """Those of episodes ``(n, d + 1, m)`` that did not end early: whose last entry counts the decisions."""
-    due = np.linspace(0.0, 1.0, observations.shape[1])
-    whole = observations[(np.abs(observations[:, :, -1] - due) < 1e-4).all(axis=1)]
+    before = batch.reset()
+    running, whole, steps = [[seen] for seen in before], [], []
+    for _ in range(_knots(batch) * training.episodes):
+        drawn = np.exp(SPREAD) * rng.standard_normal((training.envs, *batch.action_space.shape))
+        decisions = np.clip(drawn, -1.0, 1.0).astype(np.float32)
+        begun, gained, over, infos = batch.step(decisions)
+        after = begun.copy()
+        for k in range(training.envs):
+            after[k] = infos[k].get("terminal_observation", begun[k])
+            running[k].append(after[k])
+            if over[k]:
+                whole += [running[k]] if len(running[k]) == _knots(batch) + 1 else []
+                running[k] = [begun[k]]
+        steps.append((before, after, decisions, gained, over, infos))
+        log.note(gained, over, infos)
+        before = begun
     if len(whole) < 2:
         raise ConfigError(
-            "Fewer than 2 episodes with drawn decisions came to their end.",
-            "Choose a smaller reach, more episodes or another motion to decide about.",
+            f"{len(whole)} of the {log.count} episodes with drawn decisions came to their last decision.",
+            "Choose a smaller reach, or another motion to decide about.",
         )
-    return whole
+    encoder = fitted(np.array(whole), batch.tasks.envs[0].noise)
+    encoder.write(folder / ENCODER)
+    batch.see_by(encoder)
+    model = _new_model(training, batch)
+    if isinstance(model, SAC):
+        for before, after, *rest in steps:
+            model.replay_buffer.add(encoder.encode(before), encoder.encode(after), *rest)
+    progress = _further(training, Progress(), batch, began, log)
+    _keep(model, folder, progress)
+    return progress
 
 
 def _round(
@@ -192,7 +199,7 @@ def _round(
     batch.seed(seed)
     model.set_env(batch, force_reset=True)
     model.learn(_knots(batch) * training.envs * training.episodes, callback=log, reset_num_timesteps=False)
-    return _further(training, before, batch, began, 1, log.count)
+    return _further(training, before, batch, began, log)
 
 
 class _Began:
@@ -202,17 +209,17 @@ class _Began:
         self.wall, self.cpu = time.monotonic(), time.process_time()
 
 
-def _further(training: Training, before: Progress, batch: Batch, began: _Began, rounds: int, lines: int) -> Progress:
-    """After as many episodes as a round has."""
+def _further(training: Training, before: Progress, batch: Batch, began: _Began, log: _Log) -> Progress:
+    """After another round."""
     decisions = _knots(batch) * training.envs * training.episodes
     steps = len(batch.tasks.envs[0].rollouts.times) - 1
     return Progress(
-        before.rounds + rounds,
+        before.rounds + 1,
         before.decisions + decisions,
         before.steps + steps * training.envs * training.episodes,
         before.wall_s + time.monotonic() - began.wall,
         before.cpu_s + time.process_time() - began.cpu,
-        before.lines + lines,
+        before.lines + log.count,
     )
 
 
@@ -235,30 +242,35 @@ class _Log(BaseCallback):
         return self._returns / max(1, self.count)
 
     def _on_step(self) -> bool:
-        gained = self.locals["rewards"]
-        self._sums = gained.astype(float) if self._sums is None else self._sums + gained
-        with self._path.open("a", encoding="utf-8") as stored:
-            for k in np.flatnonzero(self.locals["dones"]):
-                info = self.locals["infos"][k]
-                end = {name: info[name] for name in ("reward", "success", "stopped", "parameters")}
-                stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
-                self.count += 1
-                self.successes += info["success"]
-                self._returns += float(self._sums[k])
-                self._sums[k] = 0.0
+        self.note(*(self.locals[name] for name in ("rewards", "dones", "infos")))
         return True
 
+    def note(self, gained: np.ndarray, over: np.ndarray, infos: Sequence[Mapping[str, Any]]) -> None:
+        """Of a decision in each environment, what it gained and which episodes are over."""
+        self._sums = gained.astype(float) if self._sums is None else self._sums + gained
+        with self._path.open("a", encoding="utf-8") as stored:
+            for k in np.flatnonzero(over):
+                end = {name: infos[k][name] for name in ("reward", "success", "stopped", "parameters")}
+                stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
+                self.count += 1
+                self.successes += infos[k]["success"]
+                self._returns += float(self._sums[k])
+                self._sums[k] = 0.0
 
-def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -> BaseAlgorithm:
-    """The policy, new or of the last checkpoint."""
-    kind, options = ALGORITHMS[training.algorithm]
+
+def _read_model(training: Training, progress: Progress, folder: Path, batch: Batch) -> BaseAlgorithm:
+    """The policy of the last checkpoint."""
     place = folder / CHECKPOINT.format(progress.rounds)
-    if progress.rounds:
-        with _reading(place):
-            model = kind.load(place / "model.zip", env=batch, device="cpu")
-            if isinstance(model, SAC):
-                model.load_replay_buffer(place / "replay.pkl")
-        return model
+    with _reading(place):
+        model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", env=batch, device="cpu")
+        if isinstance(model, SAC):
+            model.load_replay_buffer(place / "replay.pkl")
+    return model
+
+
+def _new_model(training: Training, batch: Batch) -> BaseAlgorithm:
+    """A policy that decides about zero."""
+    kind, options = ALGORITHMS[training.algorithm]
     policy: dict[str, Any] = {"net_arch": NETWORK}
     knots = _knots(batch)
     if training.algorithm == "ppo":
