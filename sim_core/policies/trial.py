@@ -14,6 +14,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from sim_core.rigs import list_parameters, resolve_name
 from sim_core.tasks.check import Judge, judged
 from sim_core.tasks.environment import TaskEnv
 from sim_core.tasks.rollout import TaskRollouts
+from sim_core.threads import worker_threads
 
 UNSEEN = 7919
 """Sets materials of trials apart from those of trainings with the same seed."""
@@ -69,33 +71,43 @@ def trials(
     seed: int = 1,
     searches: int = 0,
     budget: int = 30,
+    workers: int = 1,
     on_trial: Callable[[int], None] = lambda _: None,
 ) -> list[Trial]:
     """Try a policy on so many materials, and a search with a ``budget`` of rollouts on the first ``searches`` of them.
 
-    ``path``: where trials are written to, and taken from where they are the same. Raises ``ConfigError`` where it has
-    others.
+    ``workers``: threads; ``path``: where trials are written to, and taken from where they are the same. Raises
+    ``ConfigError`` where it has others.
     """
     drawn = materials(policy.training, count, seed)
     known = read_trials(path)
-    env = TaskEnv(policy.training.task, **policy.training.options())
+    found = known[:count]
+    for number, trial in enumerate(found):
+        if trial.parameters != drawn[number] or (number < searches) != (trial.searched >= 0):
+            raise ConfigError(f"{path} has trials of other materials.", "Name another file.")
+    left = list(enumerate(drawn))[len(found) :]
+    if not left:
+        return found
+    envs = [TaskEnv(policy.training.task, **policy.training.options()) for _ in range(min(workers, len(left)))]
     around = None if policy.training.around is None else np.array(policy.training.around)
-    own: np.ndarray | None = None
-    found: list[Trial] = []
-    for number, parameters in enumerate(drawn):
-        search = number < searches
-        if number < len(known):
-            if known[number].parameters != parameters or search != (known[number].searched >= 0):
-                raise ConfigError(f"{path} has trials of other materials.", "Name another file.")
-            found.append(known[number])
-            continue
-        if own is None:
-            _motion(policy, env, UNSEEN, nominal(policy.training, env))
-            own = env.action_so_far.copy()
-        found.append(_tried(policy, env, number, parameters, around, own, budget if search else 0))
-        with path.open("a", encoding="utf-8") as stored:
-            stored.write(json.dumps(asdict(found[-1])) + "\n")
-        on_trial(number + 1)
+    _motion(policy, envs[0], UNSEEN, nominal(policy.training, envs[0]))
+    own, free = envs[0].action_so_far.copy(), SimpleQueue[TaskEnv]()
+    for env in envs:
+        free.put(env)
+
+    def tried(number: int, parameters: Mapping[str, float]) -> Trial:
+        env = free.get()
+        try:
+            return _tried(policy, env, number, parameters, around, own, budget if number < searches else 0)
+        finally:
+            free.put(env)
+
+    with worker_threads(len(envs)) as threads:
+        for future in [threads.submit(tried, *one) for one in left]:
+            found.append(future.result())
+            with path.open("a", encoding="utf-8") as stored:
+                stored.write(json.dumps(asdict(found[-1])) + "\n")
+            on_trial(len(found))
     return found
 
 

@@ -99,6 +99,7 @@ def test(
     searches: Annotated[int, whole_number("--searches", "On so many of them a search is made anew too.", 0)] = 0,
     budget: Annotated[int, whole_number("--budget", "Rollouts of such a search.", 1)] = 30,
     seed: SeedOption = 1,
+    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
 ) -> None:
     """Try a policy on materials that it has not seen, against replaying one motion on all of them (that about which it
     decides, and its own on the rig as its file has it) and against searching anew. What was tried is not tried again.
@@ -116,7 +117,16 @@ def test(
             report(done / materials, f"{done} of {materials}")
 
         path = folder / TRIALS.format(read_progress(folder).rounds)
-        found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=on_trial)
+        found = trials(
+            policy,
+            materials,
+            path,
+            seed=seed,
+            searches=searches,
+            budget=budget,
+            workers=workers or os.cpu_count() or 1,
+            on_trial=on_trial,
+        )
     _print_share("policy", [not t.learnt for t in found], [t.learnt_reward for t in found])
     _print_share("its motion on the rig's file", [not t.open_loop for t in found], [t.open_loop_reward for t in found])
     _print_alone(found, [(t.open_loop, t.open_loop_reward) for t in found])

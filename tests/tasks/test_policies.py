@@ -23,8 +23,8 @@ VARY = {"card.E_pa": (1.5e9, 2.5e9)}
 AROUND = tuple(float(x) for x in 0.05 * np.arange(12.0))
 
 
-def training(folder: Path, algorithm: str, **other: object) -> Training:
-    small_task(folder)
+def training(folder: Path, algorithm: str, reward: str = "folding", **other: object) -> Training:
+    small_task(folder, reward)
     rig = folder / "rig.yaml"
     rig.write_text(rig.read_text() + touch_sensor(0.001, 1e-5))
     task = str(folder / "small.yaml")
@@ -65,7 +65,7 @@ def test_another_training_is_refused_and_another_seed_learns_another_policy(tmp_
 
 @pytest.mark.slow
 def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = training(tmp_path, "ppo")
+    wanted = training(tmp_path, "ppo", "forming")
     train(wanted, 1, tmp_path / "run")
     assert main(["policy", "test", str(tmp_path / "run"), "--materials", "3", "--searches", "1", "--budget", "4"]) == 0
     printed = capsys.readouterr().out
@@ -85,7 +85,7 @@ def test_trials_are_of_other_materials_and_are_made_once(tmp_path: Path, capsys:
     before = path.read_bytes()
     path.write_bytes(before[:-5])
     policy = load_policy(tmp_path / "run")
-    assert trials(policy, 3, path, searches=1, budget=4)[:2] == found[:2]
+    assert trials(policy, 3, path, searches=1, budget=4, workers=2)[:2] == found[:2]
     assert read_trials(path)[2].parameters == found[2].parameters
     with pytest.raises(ConfigError, match=r"has trials of other materials"):
         trials(policy, 3, path, seed=2, searches=1, budget=4)
