@@ -250,7 +250,7 @@ class _Log(BaseCallback):
         """Of a decision in each environment, what it gained and which episodes are over."""
         self._sums = gained.astype(float) if self._sums is None else self._sums + gained
         with self._path.open("a", encoding="utf-8") as stored:
-            for k in np.flatnonzero(over):
+            for k in np.flatnonzero(over).tolist():
                 end = {name: infos[k][name] for name in ("reward", "success", "stopped", "parameters")}
                 stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
                 self.count += 1
