@@ -10,7 +10,7 @@ import pytest
 from sim_core.errors import ConfigError
 from sim_core.policies.encoder import EXACT, MOST, fitted, read_encoder
 
-NOISE = np.array([0.01, 0.01, 0.01, 0.2, 0.0, 0.0])
+NOISE = np.array([0.01, 0.01, 0.01, 1.0, 0.0, 0.0])
 
 
 def observations(materials: np.ndarray, rng: np.random.Generator) -> np.ndarray:
