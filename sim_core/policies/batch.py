@@ -3,31 +3,39 @@ own."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
+from sim_core.policies.encoder import MOST, Encoder
 from sim_core.tasks.vector_environment import TaskVectorEnv
 
 
 class Batch(VecEnv):
-    """``envs`` environments of a task that step at once on ``workers`` threads. ``options``: of
-    :class:`sim_core.tasks.environment.TaskEnv`."""
+    """``envs`` environments of a task that step at once on ``workers`` threads, with observations as they are until
+    :meth:`see_by` an encoder. ``options``: of :class:`sim_core.tasks.environment.TaskEnv`."""
 
     def __init__(self, task: str, envs: int, workers: int, **options: Any) -> None:
         self.tasks = TaskVectorEnv(task, envs, workers, AutoresetMode.SAME_STEP, **options)
         self.render_mode = None
+        self._encode: Callable[[np.ndarray], np.ndarray] = lambda observations: observations
         super().__init__(envs, self.tasks.single_observation_space, self.tasks.single_action_space)
+
+    def see_by(self, encoder: Encoder) -> None:
+        """Give what the encoder makes of observations from now on."""
+        self._encode = encoder.encode
+        self.observation_space = Box(-MOST, MOST, (encoder.size,), np.float32)
 
     def reset(self) -> np.ndarray:
         """New episodes, with the seeds that were given. Observations ``(n, m)``."""
         seeds = list(self._seeds)
         self._reset_seeds()
         observations, _ = self.tasks.reset(seed=seeds)
-        return observations
+        return self._encode(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the decisions ``(n, k)`` for the next step."""
@@ -41,14 +49,14 @@ class Batch(VecEnv):
         for k in np.flatnonzero(over | cut):
             end = found["final_info"]
             infos[k] = {
-                "terminal_observation": found["final_obs"][k],
+                "terminal_observation": self._encode(found["final_obs"][k][None])[0],
                 "TimeLimit.truncated": False,
                 "reward": float(end["reward"][k]),
                 "success": bool(end["success"][k]),
                 "stopped": str(end["stopped"][k]),
                 "parameters": {name: float(values[k]) for name, values in end["parameters"].items() if name[0] != "_"},
             }
-        return observations, gained.astype(np.float32), over | cut, infos
+        return self._encode(observations), gained.astype(np.float32), over | cut, infos
 
     def close(self) -> None:
         """End the threads."""

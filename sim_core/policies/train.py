@@ -2,13 +2,15 @@
 
     policy.json      what is learnt, and how (:class:`Training`)
     progress.json    the last checkpoint, and what it took up to there
-    checkpoint_N/    model.zip, normalisation.pkl and, for SAC, replay.pkl
+    encoder.npz      what the policy sees of observations (:mod:`sim_core.policies.encoder`)
+    checkpoint_N/    model.zip and, for SAC, replay.pkl
     episodes.jsonl   each episode: its materials, return, reward, whether it was a success, why it ended early
 
-PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3; observations are normalised
-by their running mean and variance. Training is made of rounds, and each round begins with new episodes and with all
-random numbers drawn anew from the seed and its number. So one that goes on from a checkpoint, which is made after each
-round, gives to the bit what it gives without an interruption.
+PPO (Schulman et al. 2017) and SAC (Haarnoja et al. 2018) are those of Stable-Baselines3. Training is made of rounds. In
+the first one decisions are drawn about zero; the encoder is fitted to what is observed, and SAC learns from it later. A
+policy begins with decisions about zero too: it makes the motion about which it decides. Each round begins with new
+episodes and with all random numbers drawn anew from the seed and its number. So a training that goes on from a
+checkpoint, which is made after each round, gives to the bit what it gives without an interruption.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -31,16 +33,17 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecNormalize
 
 from sim_core.errors import ConfigError, nearest_match
 from sim_core.policies.batch import Batch
+from sim_core.policies.encoder import Encoder, fitted, read_encoder
 from sim_core.tasks.environment import TaskEnv
 from sim_core.tasks.observation import Kind
 
 POLICY, PROGRESS, EPISODES, CHECKPOINT = "policy.json", "progress.json", "episodes.jsonl", "checkpoint_{}"
+ENCODER = "encoder.npz"
 
-FORMAT = 1
+FORMAT = 2
 
 NETWORK = [64, 64]
 """Sizes of the hidden layers of all networks."""
@@ -49,16 +52,18 @@ ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], dict[str, Any]]] = {
     "ppo": (PPO, {"learning_rate": 1e-3}),
     "sac": (
         SAC,
-        {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.01", "learning_rate": 1e-3},
+        {"learning_starts": 0, "batch_size": 128, "tau": 0.01, "ent_coef": "auto_0.003"},
     ),
 }
-"""What is not the library's default. Rollouts cost much more than steps of an optimiser, so that rates are high."""
+"""What is not the library's default."""
 
-SPREAD = -1.0
-"""Logarithm of the standard deviation of PPO's first decisions."""
+SPREAD = -1.6
+"""Logarithm of the standard deviation of the first decisions: a fifth of what may be decided, since noise in all
+components of all decisions adds up."""
 
-UPDATES = 8
-"""Steps of SAC's optimiser for each decision."""
+UPDATES = 1
+"""Steps of SAC's optimiser for each decision. With 8, its critic fits the few decisions that there are so closely that,
+after 800 steps, the policy leaves what had gained most for what was never tried."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +126,16 @@ def train(
     torch.set_num_threads(1)  # sums of other numbers of threads differ in their last digits
     batch = Batch(training.task, training.envs, workers, **training.options())
     try:
-        model, normal = _model(training, progress, folder, batch)
+        if not progress.rounds:
+            progress = _first_round(training, folder, batch)
+        batch.see_by(read_encoder(folder / ENCODER))
+        model = _read_model(training, progress, folder, batch)
         for number in range(progress.rounds, rounds):
             if time.monotonic() - began > seconds:
                 break
             log = _Log(folder / EPISODES)
-            progress = _round(training, model, normal, number, progress, log)
-            _keep(model, normal, folder, progress)
+            progress = _round(training, model, batch, number, progress, log)
+            _keep(model, folder, progress)
             if on_round is not None:
                 on_round(
                     (number + 1) / rounds, f"{log.count} episodes, return {log.mean:.3g}, {log.successes} successes"
@@ -138,28 +146,87 @@ def train(
     return progress
 
 
+def _seed(training: Training, number: int) -> int:
+    """Of the round with this number."""
+    return int(np.random.SeedSequence([training.seed, number]).generate_state(1)[0] >> 1)
+
+
+def _first_round(training: Training, folder: Path, batch: Batch) -> Progress:
+    """Decisions that are drawn: fit the encoder, begin the policy, and let SAC remember them."""
+    began, log, seed = _Began(), _Log(folder / EPISODES), _seed(training, 0)
+    rng = np.random.default_rng(seed)
+    set_random_seed(seed)
+    batch.seed(seed)
+    before = batch.reset()
+    running, whole, steps = [[seen] for seen in before], [], []
+    for _ in range(_knots(batch) * training.episodes):
+        drawn = np.exp(SPREAD) * rng.standard_normal((training.envs, *batch.action_space.shape))
+        decisions = np.clip(drawn, -1.0, 1.0).astype(np.float32)
+        begun, gained, over, infos = batch.step(decisions)
+        after = begun.copy()
+        for k in range(training.envs):
+            after[k] = infos[k].get("terminal_observation", begun[k])
+            running[k].append(after[k])
+            if over[k]:
+                whole += [running[k]] if len(running[k]) == _knots(batch) + 1 else []
+                running[k] = [begun[k]]
+        steps.append((before, after, decisions, gained, over, infos))
+        log.note(gained, over, infos)
+        before = begun
+    if len(whole) < 2:
+        raise ConfigError(
+            f"{len(whole)} of the {log.count} episodes with drawn decisions came to their last decision.",
+            "Choose a smaller reach, or another motion to decide about.",
+        )
+    encoder = fitted(np.array(whole), batch.tasks.envs[0].noise)
+    encoder.write(folder / ENCODER)
+    batch.see_by(encoder)
+    model = _new_model(training, batch)
+    if isinstance(model, SAC):
+        for before, after, *rest in steps:
+            model.replay_buffer.add(encoder.encode(before), encoder.encode(after), *rest)
+    progress = _further(training, Progress(), batch, began, log)
+    _keep(model, folder, progress)
+    return progress
+
+
 def _round(
-    training: Training, model: BaseAlgorithm, normal: VecNormalize, number: int, before: Progress, log: _Log
+    training: Training, model: BaseAlgorithm, batch: Batch, number: int, before: Progress, log: _Log
 ) -> Progress:
     """One round: new episodes, and all that is drawn from the seed and the number of the round."""
-    wall, cpu = time.monotonic(), time.process_time()
-    seed = int(np.random.SeedSequence([training.seed, number]).generate_state(1)[0] >> 1)
+    began, seed = _Began(), _seed(training, number)
     set_random_seed(seed)
     model.action_space.seed(seed)
-    normal.seed(seed)
-    model.set_env(normal, force_reset=True)
-    rollouts = [env.rollouts for env in normal.venv.tasks.envs]
-    decisions = rollouts[0].made.actions.knots * training.envs * training.episodes
-    model.learn(decisions, callback=log, reset_num_timesteps=False)
-    per_decision = (len(rollouts[0].times) - 1) / rollouts[0].made.actions.knots
+    batch.seed(seed)
+    model.set_env(batch, force_reset=True)
+    model.learn(_knots(batch) * training.envs * training.episodes, callback=log, reset_num_timesteps=False)
+    return _further(training, before, batch, began, log)
+
+
+class _Began:
+    """When something began: wall time and process time [s]."""
+
+    def __init__(self) -> None:
+        self.wall, self.cpu = time.monotonic(), time.process_time()
+
+
+def _further(training: Training, before: Progress, batch: Batch, began: _Began, log: _Log) -> Progress:
+    """After another round."""
+    decisions = _knots(batch) * training.envs * training.episodes
+    steps = len(batch.tasks.envs[0].rollouts.times) - 1
     return Progress(
-        number + 1,
+        before.rounds + 1,
         before.decisions + decisions,
-        before.steps + round(decisions * per_decision),
-        before.wall_s + time.monotonic() - wall,
-        before.cpu_s + time.process_time() - cpu,
+        before.steps + steps * training.envs * training.episodes,
+        before.wall_s + time.monotonic() - began.wall,
+        before.cpu_s + time.process_time() - began.cpu,
         before.lines + log.count,
     )
+
+
+def _knots(batch: Batch) -> int:
+    """Decisions of an episode."""
+    return int(batch.tasks.envs[0].made.actions.knots)
 
 
 class _Log(BaseCallback):
@@ -176,58 +243,69 @@ class _Log(BaseCallback):
         return self._returns / max(1, self.count)
 
     def _on_step(self) -> bool:
-        gained = self.training_env.get_original_reward()
-        self._sums = gained.astype(float) if self._sums is None else self._sums + gained
-        with self._path.open("a", encoding="utf-8") as stored:
-            for k in np.flatnonzero(self.locals["dones"]):
-                info = self.locals["infos"][k]
-                end = {name: info[name] for name in ("reward", "success", "stopped", "parameters")}
-                stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
-                self.count += 1
-                self.successes += info["success"]
-                self._returns += float(self._sums[k])
-                self._sums[k] = 0.0
+        self.note(*(self.locals[name] for name in ("rewards", "dones", "infos")))
         return True
 
+    def note(self, gained: np.ndarray, over: np.ndarray, infos: Sequence[Mapping[str, Any]]) -> None:
+        """Of a decision in each environment, what it gained and which episodes are over."""
+        self._sums = gained.astype(float) if self._sums is None else self._sums + gained
+        with self._path.open("a", encoding="utf-8") as stored:
+            for k in np.flatnonzero(over).tolist():
+                end = {name: infos[k][name] for name in ("reward", "success", "stopped", "parameters")}
+                stored.write(json.dumps({"return": float(self._sums[k]), **end}) + "\n")
+                self.count += 1
+                self.successes += infos[k]["success"]
+                self._returns += float(self._sums[k])
+                self._sums[k] = 0.0
 
-def _model(training: Training, progress: Progress, folder: Path, batch: Batch) -> tuple[BaseAlgorithm, VecNormalize]:
-    """The policy and the normalisation of its observations, new or of the last checkpoint."""
-    kind, options = ALGORITHMS[training.algorithm]
+
+def _read_model(training: Training, progress: Progress, folder: Path, batch: Batch) -> BaseAlgorithm:
+    """The policy of the last checkpoint."""
     place = folder / CHECKPOINT.format(progress.rounds)
-    if progress.rounds:
-        with _reading(place):
-            normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-            model = kind.load(place / "model.zip", env=normal, device="cpu")
-            if isinstance(model, SAC):
-                model.load_replay_buffer(place / "replay.pkl")
-        return model, normal
-    normal = VecNormalize(batch, norm_reward=False, gamma=1.0)
+    with _reading(place):
+        model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", env=batch, device="cpu")
+        if isinstance(model, SAC):
+            model.load_replay_buffer(place / "replay.pkl")
+    return model
+
+
+def _new_model(training: Training, batch: Batch) -> BaseAlgorithm:
+    """A policy that decides about zero."""
+    kind, options = ALGORITHMS[training.algorithm]
     policy: dict[str, Any] = {"net_arch": NETWORK}
-    knots = batch.tasks.envs[0].made.actions.knots
+    knots = _knots(batch)
     if training.algorithm == "ppo":
         policy["log_std_init"] = SPREAD
         options = {**options, "n_steps": knots, "batch_size": knots * training.envs}
     else:
         options = {**options, "train_freq": 1, "gradient_steps": UPDATES * training.envs, "buffer_size": 100_000}
     shared = {"gamma": 1.0, "policy_kwargs": policy, "device": "cpu", "seed": training.seed}
-    return kind("MlpPolicy", normal, **options, **shared), normal
+    model = kind("MlpPolicy", batch, **options, **shared)
+    if isinstance(model, SAC):
+        for layer, start in ((model.actor.mu, 0.0), (model.actor.log_std, SPREAD)):
+            torch.nn.init.zeros_(layer.weight)
+            torch.nn.init.constant_(layer.bias, start)
+    return model
 
 
-def _keep(model: BaseAlgorithm, normal: VecNormalize, folder: Path, progress: Progress) -> None:
+def _keep(model: BaseAlgorithm, folder: Path, progress: Progress) -> None:
     """Write a checkpoint, and then that it is the last one."""
     place = folder / CHECKPOINT.format(progress.rounds)
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
     model.save(place / "model.zip")
-    normal.save(str(place / "normalisation.pkl"))
     if isinstance(model, SAC):
         model.save_replay_buffer(place / "replay.pkl")
-    new = folder / f"{PROGRESS}.new"
-    new.write_text(json.dumps(asdict(progress), indent=1) + "\n", encoding="utf-8")
-    os.replace(new, folder / PROGRESS)
+    _write_progress(folder, progress)
     for old in folder.glob(CHECKPOINT.format("*")):
         if old != place:
             shutil.rmtree(old)
+
+
+def _write_progress(folder: Path, progress: Progress) -> None:
+    new = folder / f"{PROGRESS}.new"
+    new.write_text(json.dumps(asdict(progress), indent=1) + "\n", encoding="utf-8")
+    os.replace(new, folder / PROGRESS)
 
 
 def _opened(training: Training, folder: Path) -> Progress:
@@ -292,12 +370,11 @@ class Policy:
 
     training: Training
     model: BaseAlgorithm
-    normal: VecNormalize
+    encoder: Encoder
 
     def decision(self, observation: np.ndarray) -> np.ndarray:
         """What it decides for an observation ``(m,)``: ``(k,)``, without exploration."""
-        seen = self.normal.normalize_obs(observation[None])
-        decided, _ = self.model.predict(seen, deterministic=True)
+        decided, _ = self.model.predict(self.encoder.encode(observation[None]), deterministic=True)
         return np.asarray(decided[0])
 
 
@@ -307,9 +384,6 @@ def load_policy(folder: Path) -> Policy:
     place = folder / CHECKPOINT.format(progress.rounds)
     if not progress.rounds or not place.is_dir():
         raise ConfigError(f"{folder} has no checkpoint yet.", "Let 'thinshell policy train' make a round.")
-    batch = Batch(training.task, 1, 1, **training.options())
     with _reading(place):
-        normal = VecNormalize.load(str(place / "normalisation.pkl"), batch)
-        normal.training = False
         model = ALGORITHMS[training.algorithm][0].load(place / "model.zip", device="cpu")
-    return Policy(training, model, normal)
+    return Policy(training, model, read_encoder(folder / ENCODER))

@@ -12,9 +12,14 @@ hands could not come to rest within their limits by the knot after it is scaled 
 Observations are clipped to [-10, 10] (:mod:`sim_core.tasks.observation`): the state of the bodies, or what the sensors
 and cameras of the rig read.
 
-The reward of one decision is what it adds to the reward R of the task, as if that ended now, by |R_success - R_start|,
-so that an episode's return is (R_end - R_start) / |R_success - R_start|, whatever the task. Where a rollout ends early,
-the episode ends with the reward :data:`FAILED`.
+The reward of one decision is what it adds to the progress of the task, as if that ended now. Progress is 0 at the start
+and 1 at a success: (R - R_start) / |R_success - R_start| for a reward R, or, where the task has a ``best`` reward, of
+what is missing, m = best - R,
+
+    log(m_start / m) / log(m_start / m_success),      m at least :data:`LEAST_MISSING` m_success,
+
+so that halving a distance counts alike far from a target and near it. Where a rollout ends early, the episode ends with
+the reward :data:`FAILED`.
 """
 
 from __future__ import annotations
@@ -37,6 +42,9 @@ from sim_core.tasks.schema import Actions
 FAILED = -10.0
 """Reward of a decision on which the rollout ends early."""
 
+LEAST_MISSING = 0.01
+"""Of what is missing to the best reward at a success: what is closer counts as this."""
+
 MOST = 10.0
 """Bound of observations."""
 
@@ -52,11 +60,11 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ``state`` or ``sensors`` (:mod:`sim_core.tasks.observation`).
 
     ``around``: an action of the task ``(size,)`` with as many knots, about which is decided: a decision d then asks for
-    ``around + reach d``.
+    ``around + reach d``, ``reach`` above 0 and at most 1.
 
     ``info`` has ``reward``: R, ``success``, ``stopped``: why the rollout ended early, and the ``parameters`` drawn.
     ``action_so_far`` is what was done in the episode, as an action of ``rollouts``; ``look`` is called after each step
-    with its number.
+    with its number; ``noise``: standard deviation of the sensors' noise in each entry of an observation ``(m,)``.
     """
 
     def __init__(
@@ -68,6 +76,11 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         around: np.ndarray | None = None,
         reach: float = 1.0,
     ) -> None:
+        if not 0.0 < reach <= 1.0:
+            raise ConfigError(
+                f"reach is {reach:g}, the share of the bounds by which decisions change a motion.",
+                "Choose one above 0 and at most 1.",
+            )
         made = load_task(task)
         steps = made.actions.steps
         decisions = made.actions.knots if decisions is None else decisions
@@ -101,7 +114,8 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._begin()
         self._observer.take_nominal()
         self._observer.begin()
-        size = len(self._observer.observation(0.0, np.random.default_rng(0)))
+        self.noise = self._observer.noise()
+        size = len(self.noise)
         self.action_space = Box(-1.0, 1.0, (self._each,), np.float32)
         self.observation_space = Box(-MOST, MOST, (size,), np.float32)
 
@@ -116,7 +130,6 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._begin()
         self._observer.begin()
         self._reward = self._first = self.rollouts.scored().reward
-        self._scale = abs(self.made.variant.success - self._first) or 1.0
         return self._observation(), self._info("")
 
     def _begin(self) -> None:
@@ -143,9 +156,17 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if stopped:
             self._decision = self._decisions
             return self._observation(), FAILED, True, False, self._info(stopped)
-        before, self._reward = self._reward, self.rollouts.scored().reward
-        gained = (self._reward - before) / self._scale
-        return self._observation(), float(gained), self._decision == self._decisions, False, self._info("")
+        before, self._reward = self._progress(self._reward), self.rollouts.scored().reward
+        gained = self._progress(self._reward) - before
+        return self._observation(), gained, self._decision == self._decisions, False, self._info("")
+
+    def _progress(self, reward: float) -> float:
+        """Of the way from the reward at the start to that of a success, as the module describes it."""
+        best, success = self.made.task.best, self.made.variant.success
+        if best is None:
+            return float((reward - self._first) / (abs(success - self._first) or 1.0))
+        missing = np.maximum([best - self._first, best - reward], LEAST_MISSING * (best - success))
+        return float(np.log(missing[0] / missing[1]) / np.log(max(missing[0] / (best - success), 2.0)))
 
     def _decide(self, decision: np.ndarray) -> None:
         """Take the decision into the action so far, or the largest share of it with which the hands can still come to

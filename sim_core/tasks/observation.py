@@ -68,6 +68,15 @@ class Observer:
             name: np.zeros(6) if len(self._scales[name].shape) else reading[name].copy() for name in self._scales
         }
 
+    def noise(self) -> np.ndarray:
+        """Standard deviation of the noise in each entry of an observation ``(size,)``, 0 where there is none."""
+        poses = np.zeros(6 * len(self._rollouts.fingers))
+        if self._kind == "state":
+            return np.concatenate([poses, *(np.zeros(part.size) for part in self._known()), [0.0]])
+        reading = self._rollouts.episode.readings[-1]
+        each = [np.broadcast_to(self._noise[n] / s, reading[n].shape).ravel() for n, s in self._scales.items()]
+        return np.concatenate([poses, *each, [0.0]])
+
     def begin(self) -> None:
         """Take the present state of the episode for its start."""
         self._start = self._rollouts.episode.simulation.state.x[self._nodes].copy()

@@ -185,6 +185,7 @@ class Task(Strict):
     points: dict[Name, ObservedPoints] = Field(default={})
     folds: dict[Name, FoldLine] = Field(default={})
     stop: Stop = Stop()
+    best: Real | None = Field(default=None, description="reward that no motion exceeds, more than that of a success")
     coarse: dict[Name, tuple[int, ...]] = Field(
         default={}, description="cells of sheets in searches; the best is scored with those of the rig"
     )
@@ -197,6 +198,13 @@ class Task(Strict):
     def _observes(self) -> Task:
         if not self.points and not self.folds:
             raise trouble("has neither points nor folds.", "Say what the reward is made of.", "points")
+        for name, variant in self.variants.items():
+            if self.best is not None and not variant.success < self.best:
+                raise trouble(
+                    f"is {self.best:g}, but a success of the variant {name!r} has {variant.success:g} and more.",
+                    "Give a higher one, or leave it out.",
+                    "best",
+                )
         return self
 
 

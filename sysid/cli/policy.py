@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -98,9 +99,10 @@ def test(
     searches: Annotated[int, whole_number("--searches", "On so many of them a search is made anew too.", 0)] = 0,
     budget: Annotated[int, whole_number("--budget", "Rollouts of such a search.", 1)] = 30,
     seed: SeedOption = 1,
+    workers: Annotated[int, whole_number("--workers", "Threads; 0: one a core.", 0)] = 0,
 ) -> None:
-    """Try a policy on materials that it has not seen, against the motion about which it decides and against searching
-    anew from that. What was tried is not tried again.
+    """Try a policy on materials that it has not seen, against replaying one motion on all of them (that about which it
+    decides, and its own on the rig as its file has it) and against searching anew. What was tried is not tried again.
 
     Example: thinshell policy test policies/folding_u --materials 100 --searches 20
     """
@@ -115,12 +117,22 @@ def test(
             report(done / materials, f"{done} of {materials}")
 
         path = folder / TRIALS.format(read_progress(folder).rounds)
-        found = trials(policy, materials, path, seed=seed, searches=searches, budget=budget, on_trial=on_trial)
+        found = trials(
+            policy,
+            materials,
+            path,
+            seed=seed,
+            searches=searches,
+            budget=budget,
+            workers=workers or os.cpu_count() or 1,
+            on_trial=on_trial,
+        )
     _print_share("policy", [not t.learnt for t in found], [t.learnt_reward for t in found])
+    _print_share("its motion on the rig's file", [not t.open_loop for t in found], [t.open_loop_reward for t in found])
+    _print_alone(found, [(t.open_loop, t.open_loop_reward) for t in found])
     if policy.training.around is not None:
         _print_share("replay", [not t.replayed for t in found], [t.replayed_reward for t in found])
-        both = [(not t.learnt, not t.replayed) for t in found]
-        print(f"  the policy alone on {both.count((True, False))}, the replay alone on {both.count((False, True))}")
+        _print_alone(found, [(t.replayed, t.replayed_reward) for t in found])
     _print_searches(found)
 
 
@@ -147,6 +159,23 @@ def _print_share(words: str, successes: Sequence[bool], rewards: Sequence[float]
         f"{words}: {sum(successes)} of {len(successes)} successes (95 %: {100 * interval.low:.0f} to "
         f"{100 * interval.high:.0f} %), {mean}"
     )
+
+
+def _print_alone(found: Sequence[Trial], replays: Sequence[tuple[Sequence[str], float]]) -> None:
+    """The policy against a replayed motion, of which each has its failures and its reward, material by material."""
+    pairs = list(zip(found, replays, strict=True))
+    alone = sum(not t.learnt and bool(failures) for t, (failures, _) in pairs)
+    without = sum(bool(t.learnt) and not failures for t, (failures, _) in pairs)
+    higher = sum(_or_least(t.learnt_reward) > _or_least(reward) for t, (_, reward) in pairs)
+    print(
+        f"  the policy alone on {alone}, the replay alone on {without}; "
+        f"the policy has the higher reward on {higher} of {len(pairs)}"
+    )
+
+
+def _or_least(reward: float) -> float:
+    """A reward, or less than any where a rollout ended early."""
+    return reward if math.isfinite(reward) else -math.inf
 
 
 def _print_searches(found: Sequence[Trial]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from small_task import small_task, touch_sensor
+from small_task import TASK, small_task, touch_sensor
 
 from sim_core.errors import ConfigError
 from sim_core.tasks.environment import FAILED, TaskEnv
@@ -61,6 +61,26 @@ def test_an_episode_is_a_rollout_of_the_task(tmp_path: Path) -> None:
     assert sum(gained) == pytest.approx((outcome.reward - start) / abs(env.made.variant.success - start), rel=1e-9)
     assert seen[-1][-1] == 1.0 and 0.3 < np.abs(seen[-1][:-1]).max() < 10.0
     assert len(gained) == 3 and len(seen) == 4
+
+
+def test_progress_towards_the_best_reward_counts_halved_distances_alike(tmp_path: Path) -> None:
+    """A return is 1 where just a success is left to go to the best reward, and does not rise without end."""
+    text = TASK.replace("success: 0.05", "success: -1.0e-6").replace("variants:", "best: 0.0\nvariants:")
+    small_task(tmp_path, "forming", text)
+    env = TaskEnv(str(tmp_path / "small.yaml"), 3)
+    _, gained, info = episode(env, 0)
+    env.reset(seed=0)
+    start = env.rollouts.scored().reward
+    assert start < -1.0e-6 and info["reward"] != start
+    assert sum(gained) == pytest.approx(np.log(start / info["reward"]) / np.log(start / -1.0e-6), rel=1e-9)
+    assert env._progress(-1.0e-6) == pytest.approx(1.0)
+    assert env._progress(0.0) == env._progress(-1.0e-8) == pytest.approx(1.0 + np.log(100.0) / np.log(start / -1.0e-6))
+
+
+@pytest.mark.parametrize("reach", [0.0, -0.1, 1.5, float("nan")])
+def test_decisions_that_change_nothing_or_too_much_are_refused(tmp_path: Path, reach: float) -> None:
+    with pytest.raises(ConfigError, match=rf"reach is {reach:g}.*above 0 and at most 1"):
+        small_env(tmp_path, reach=reach)
 
 
 def test_environments_on_threads_do_what_they_do_alone(tmp_path: Path) -> None:

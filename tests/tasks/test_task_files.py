@@ -34,6 +34,7 @@ def test_tasks_of_the_package_load(name: str) -> None:
         ("step_m: [0.0006, 0.0006, 0.0012], step_deg: [1.0, 1.0, 1.0]", "step_m: [0.0, 0.0, 0.0]", "nothing moves"),
         ("step_m: [0.0006, 0.0006, 0.0012]", "step_mm: [0.6, 0.6, 1.2]", r"step_mm is not a key.*step_m"),
         ("success: 0.05", "succes: 0.05", r"succes is not a key"),
+        ("variants:", "best: 0.05\nvariants:", r"best is 0.05, but a success of the variant 'real' has 0.05 and more"),
         ("words: The strip is bent.", "parameters: {card.Epa: 1.0}\n    words: X.", r"variant real: .*card.E_pa"),
         ("variants:\n", "family: {card.Epa: [1.0, 2.0]}\nvariants:\n", r"variant real: .*card.Epa.*card.E_pa"),
         ("approach:\n  finger", "approach:\n  thumb", r"approach names 'thumb'"),
