@@ -17,6 +17,7 @@ from sim_core.errors import ThinshellError
 from thinshell_ros.pacing import Pacer
 from thinshell_ros.physics import RETRY_S, Physics
 from thinshell_ros.protocol import (
+    BACK,
     Batch,
     Done,
     Keep,
@@ -166,7 +167,7 @@ class Loop:
             self._link.send(Done(request.number, False, self._stuck))
             return
         self._stuck = ""
-        self._link.send(Done(request.number, True, "back at the start", self._physics.rest))
+        self._link.send(Done(request.number, True, BACK, self._physics.rest))
         self._go_on()
 
     def _tell(self) -> None:
