@@ -1,4 +1,4 @@
-"""Two simulators tell time on topics of their own: a replay and its recorder follow the one that they are remapped to."""
+"""Two simulators tell time on topics of their own: replay and recorder follow the one that they are remapped to."""
 
 from __future__ import annotations
 
@@ -54,9 +54,7 @@ def test_a_replay_ends_with_the_simulator_that_it_follows(ros: None) -> None:
     assert said == ["Nobody publishes /twin/clock any more: the simulation has ended."]
 
 
-def test_a_recorder_follows_the_clock_of_its_replay(
-    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_follows_the_clock_of_its_replay(ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from thinshell_ros.replay.recording import Recording
 
     words: list[str] = []
