@@ -16,14 +16,20 @@ import numpy as np
 from sim_core.energies.neo_hookean import NeoHookean
 
 
+NEXT, AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""The next row or column, and the one after it."""
+
+
 def least_volumes(term: NeoHookean, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Least J at the points of each element ``(m,)`` on the straight way of the nodes from ``before`` to ``after`` [m]
     ``(n, 3)``."""
     gradients = term.gradients.reshape(len(term.tets), 4, 10, 3)
     f0, f1 = (np.einsum("eai,eqaj->eqij", x[term.tets], gradients, optimize=True) for x in (before, after))
     d = f1 - f0
-    c0, c1, c2, c3 = _det(f0), (_cofactor(f0) * d).sum((2, 3)), (_cofactor(d) * f0).sum((2, 3)), _det(d)
-    least = np.minimum(c0, _det(f1))
+    cof0, cof_d = _cofactor(f0), _cofactor(d)
+    c0, c1 = _det(f0, cof0), (cof0 * d).sum((2, 3))
+    c2, c3 = (cof_d * f0).sum((2, 3)), _det(d, cof_d)
+    least = np.minimum(c0, _det(f1, _cofactor(f1)))
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c2**2 - 3.0 * c1 * c3)
         # Where J'(s) = 0: both roots of a quadratic in the form that loses no digits.
@@ -35,10 +41,10 @@ def least_volumes(term: NeoHookean, before: np.ndarray, after: np.ndarray) -> np
     return np.asarray(least.min(axis=1))
 
 
-def _det(f: np.ndarray) -> np.ndarray:
-    return np.asarray((f[..., 0, :] * np.cross(f[..., 1, :], f[..., 2, :])).sum(axis=-1))
+def _det(f: np.ndarray, cofactor: np.ndarray) -> np.ndarray:
+    return np.asarray((f[..., 0, :] * cofactor[..., 0, :]).sum(axis=-1))
 
 
 def _cofactor(f: np.ndarray) -> np.ndarray:
-    rows = [np.cross(f[..., (i + 1) % 3, :], f[..., (i + 2) % 3, :]) for i in range(3)]
-    return np.stack(rows, axis=-2)
+    first, second = f[..., NEXT, :], f[..., AFTER, :]
+    return np.asarray(first[..., NEXT] * second[..., AFTER] - first[..., AFTER] * second[..., NEXT])
