@@ -15,7 +15,6 @@ import numpy as np
 
 from sim_core.energies.neo_hookean import NeoHookean
 
-
 NEXT, AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 """The next row or column, and the one after it."""
 

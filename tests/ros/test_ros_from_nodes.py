@@ -70,7 +70,9 @@ def assert_found(followed: Followed, said: str) -> None:
     low, high = followed.fit["strip.E_pa"]
     known = limits["strip.E_pa"]
     print(f"strip.E_pa by the fit: {low:.5g} to {high:.5g}")
-    assert low <= TRUTH["strip.E_pa"] <= high and high - low > 5.0 * (known[1] - known[0]), "it is widened by the misfit"
+    assert low <= TRUTH["strip.E_pa"] <= high and high - low > 5.0 * (known[1] - known[0]), (
+        "it is widened by the misfit"
+    )
     assert "The rig does not explain the recordings" in said
 
     first, second = (achieved(followed, number) for number in (0, 1))
