@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -33,6 +34,9 @@ _TYPES = {
     "tracks": PointCloud2,
     "mesh": Marker,
 }
+
+CLOCK_S, LEAST_S = 0.005, 0.001
+"""Period [s] of /clock, and the shortest time between two looks at what is due."""
 
 SKIP_S = 0.02
 """Time [s] left out at once that is worth an event."""
@@ -148,6 +152,12 @@ class Outputs:
             self._publish_clock(now, running)
         while self._held and self._held[0][0] <= now:
             self._publish(heapq.heappop(self._held)[2])
+
+    def due_in_s(self, now: float, running: bool) -> float:
+        """Time [s] after which something is due again; infinite where nothing is held back. Arguments as of
+        :meth:`publish`."""
+        due = max(self._held[0][0] - now, LEAST_S) if self._held else math.inf
+        return min(due, CLOCK_S) if self._clock is not None and running else due
 
     def _publish_clock(self, now: float, running: bool) -> None:
         """/clock goes on until the end of the step that is being made; it never goes back."""
