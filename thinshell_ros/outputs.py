@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from visualization_msgs.msg import Marker
@@ -21,7 +22,7 @@ from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
 from thinshell_ros.marker_images import MarkerImages
 from thinshell_ros.poses import Floats, Pose
-from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM, overridable
+from thinshell_ros.qos import EVENTS, LATCHED, LATEST, PICTURES, STREAM, overridable
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import EVENT_TOPIC, Channel, rest_topic
 from thinshell_ros.tare import Tare
@@ -75,13 +76,15 @@ class Outputs:
         self._due = dict.fromkeys(channels, 0.0)
         self._cameras = {n: c for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)}
 
-        def stream(kind: Any, topic: str) -> Publisher:
-            return node.create_publisher(kind, topic, **overridable(STREAM))
+        def stream(kind: Any, topic: str, profile: QoSProfile = STREAM) -> Publisher:
+            return node.create_publisher(kind, topic, **overridable(profile))
 
         self._streams = {name: stream(_TYPES[c.kind], c.topic) for name, c in channels.items()}
         self._infos = {n: stream(CameraInfo, c.topics.camera_info) for n, c in self._cameras.items()}
         shown = self._cameras if pictures else {}
-        self._pictures = {n: MarkerImages(c, partial(stream, topic=c.topics.image)) for n, c in shown.items()}
+        self._pictures = {
+            n: MarkerImages(c, partial(stream, topic=c.topics.image, profile=PICTURES)) for n, c in shown.items()
+        }
         self._rests = {
             name: node.create_publisher(PointCloud2, rest_topic(channel), LATCHED)
             for name, channel in channels.items()
