@@ -113,7 +113,8 @@ class Outputs:
         self.flush()
         self._tare.restart(rest)
         self._publish_rest()
-        self.tell("reset", "The state is back at the start, and the readings are not tared any more.")
+        words = "The state is back at the start, and the readings are not tared any more."
+        self.tell("reset", words, {"poses": "exact"})
 
     def zero(self) -> list[str]:
         """Tare; returns the channels that cannot be, for lack of a reading."""
