@@ -205,7 +205,8 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     p50, p99 = np.percentile(heard.latencies, [50, 99]) * 1e3
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
     print(f"markers: {len(heard.numbers)} received in {taken:.1f} s, {lost} lost")
-    print(f"age of stamps in the last {TAIL_S:g} s: median {1e3 * np.median(tail):.1f} ms")
+    aged = f"median {1e3 * np.median(tail):.1f} ms" if tail else "no markers came"
+    print(f"age of stamps in the last {TAIL_S:g} s: {aged}")
     half = np.mean(memory[len(memory) // 2 :])
     print(
         f"memory of node and physics: {memory[0]:.1f} MB at the start, {half:.1f} MB in the second half on average, "
