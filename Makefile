@@ -8,7 +8,7 @@ LOCKER := $(VENV)/.locker
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs gallery notebooks pictures test test-all test-variations lint format lock clean
+.PHONY: help demo docs gallery notebooks pictures tutorial test test-all test-variations lint format lock clean
 
 help:
 	@echo "make demo      record presses in which something is concealed, find out what, and write a report"
@@ -17,6 +17,7 @@ help:
 	@echo "make test-variations  tests of the physics as other processors compute: other vector widths, round-off, factorisation"
 	@echo "make docs      documentation as a site in out/site, links checked; needs no network"
 	@echo "make gallery   what each effect does to readings, as pictures for the documentation"
+	@echo "make tutorial  follow the tutorial of the nodes, and draw its pictures"
 	@echo "make notebooks  run the notebooks of examples/ and store what they put out"
 	@echo "make pictures  pictures of the documentation, from what make demo has written; needs Chromium and chromedriver"
 	@echo "make lint      style and types"
@@ -42,6 +43,9 @@ docs: $(READY)
 
 gallery: $(READY)
 	$(BIN)/python docs/site/gallery.py
+
+tutorial: $(READY)
+	$(BIN)/python docs/site/from_nodes.py
 
 notebooks: $(READY)
 	$(BIN)/python docs/site/notebooks.py

@@ -171,6 +171,7 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
     physics = _physics(pid)
     heard.latencies, heard.ages, heard.numbers = [], [], []
     memory = [_rss_mb(pid) + _rss_mb(physics)]
+    worked = _worked_s(pid), _worked_s(physics)
     begin, due, changed, deep, stopped = time.monotonic(), time.monotonic(), 0.0, 1, None
     sampled = begin
     while (now := time.monotonic()) - begin < seconds or not heard.latencies:
@@ -197,17 +198,24 @@ def _measure(pid: int, seconds: float, slow_s: float) -> None:
             sampled = now
             memory.append(_rss_mb(pid) + _rss_mb(physics))
     taken = time.monotonic() - begin
+    node_s, physics_s = _worked_s(pid) - worked[0], _worked_s(physics) - worked[1]
     lost = int(np.diff(heard.numbers).sum()) - (len(heard.numbers) - 1)
     tail = [age for at, age in heard.ages if at > time.monotonic() - TAIL_S]
     memory.append(_rss_mb(pid) + _rss_mb(physics))
     p50, p99 = np.percentile(heard.latencies, [50, 99]) * 1e3
     print(f"command to markers: p50 {p50:.1f} ms, p99 {p99:.1f} ms of {len(heard.latencies)} changes")
     print(f"markers: {len(heard.numbers)} received in {taken:.1f} s, {lost} lost")
-    print(f"age of stamps in the last {TAIL_S:g} s: median {1e3 * np.median(tail):.1f} ms")
+    aged = f"median {1e3 * np.median(tail):.1f} ms" if tail else "no markers came"
+    print(f"age of stamps in the last {TAIL_S:g} s: {aged}")
     half = np.mean(memory[len(memory) // 2 :])
     print(
         f"memory of node and physics: {memory[0]:.1f} MB at the start, {half:.1f} MB in the second half on average, "
         f"{memory[-1]:.1f} MB at the end"
+    )
+    each = 1e3 / len(heard.numbers)
+    print(
+        f"processor time for each cloud of markers: {each * node_s:.2f} ms of the node, {each * physics_s:.2f} ms of "
+        "the physics"
     )
     print(f"machine: {machine()}")
     node.destroy_node()
@@ -224,6 +232,12 @@ def machine() -> str:
 def _physics(pid: int) -> int:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return next(int(p) for p in children if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text())
+
+
+def _worked_s(pid: int) -> float:
+    """Processor time of a process up to now [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _rss_mb(pid: int) -> float:

@@ -14,11 +14,9 @@ import argparse
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -29,24 +27,10 @@ from sim_core.rigs.load import find_config
 from sim_core.rigs.yamlfile import read_mapping
 from sim_core.tasks import TaskRollouts, load_task
 from thinshell_ros.command import command
-
-SERVICE_S, REPLAY_S = 120.0, 3600.0
-"""Longest time for an answer of the replay node, and for a replay, which waits for slow physics [s]."""
-
-NODE, SIMULATOR = "trajectory_deploy", "thinshell_sim"
+from thinshell_ros.replay_once import Replayed, Robot
 
 Step = Callable[[Sequence[str]], None]
 """Runs a ``thinshell`` command; raises ``WorkerError`` where it fails."""
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """How a replay ended: its state, why it was aborted, and what the watch says, which is 'as predicted' or where
-    readings part from that."""
-
-    state: str
-    detail: str
-    watch: str
 
 
 @dataclass(frozen=True)
@@ -132,118 +116,6 @@ def close_loop(
         if not now.verdict:
             break
     return done
-
-
-class Robot:
-    """Replays on a robot by ``replay_node``, a process of its own for each replay. A context manager.
-
-    ``simulated``: the robot is a ``sim_node`` that publishes /clock. Its bodies are fresh in each replay, and in
-    between it stands still, so that its physics takes no time from what else there is to do.
-    """
-
-    def __init__(self, namespace: str, simulated: bool) -> None:
-        import rclpy
-
-        self._began = not rclpy.ok()
-        if self._began:
-            rclpy.init()
-        self._place, self._simulated = namespace.rstrip("/"), simulated
-        self._node = rclpy.create_node("closed_loop", namespace=namespace or "/")
-
-    def __enter__(self) -> Robot:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        import rclpy
-
-        self._node.destroy_node()
-        if self._began:
-            rclpy.try_shutdown()
-
-    def replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
-        """Configure, activate, execute, and wait for the end; the bag is finished then."""
-        if not self._simulated:
-            return self._replay(trajectory, rig, bag)
-        from std_srvs.srv import SetBool, Trigger
-
-        self._simulator(Trigger, "reset", Trigger.Request())
-        self._simulator(SetBool, "pause", SetBool.Request(data=False))
-        try:
-            return self._replay(trajectory, rig, bag)
-        finally:
-            self._simulator(SetBool, "pause", SetBool.Request(data=True))
-
-    def _simulator(self, kind: Any, name: str, request: Any) -> None:
-        """Ask the simulated robot, which may still be building its scene."""
-        asked = time.monotonic()
-        while not (answer := self._ask(kind, f"{SIMULATOR}/{name}", request)).success:
-            if time.monotonic() - asked > SERVICE_S:
-                raise WorkerError(f"The simulated robot does not {name}: {answer.message}", "See what it says above.")
-            time.sleep(0.5)
-
-    def _replay(self, trajectory: Path, rig: Path, bag: Path) -> Replayed:
-        from diagnostic_msgs.msg import DiagnosticStatus
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
-        from std_srvs.srv import Trigger
-
-        from thinshell_ros.qos import LATCHED
-
-        given = {"trajectory_uri": trajectory, "rig": rig, "dry_run": "false", "record_uri": bag}
-        words = [sys.executable, "-m", "thinshell_ros.replay_node", "--ros-args", "-r", f"__ns:={self._place or '/'}"]
-        for name, value in {**given, "use_sim_time": str(self._simulated).lower()}.items():
-            words += ["-p", f"{name}:={value}"]
-        statuses: list[Any] = []
-        heard = self._node.create_subscription(DiagnosticStatus, f"{NODE}/status", statuses.append, LATCHED)
-        process = subprocess.Popen(words)
-        try:
-            for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-                request = ChangeState.Request(transition=Transition(id=number))
-                if not self._ask(ChangeState, f"{NODE}/change_state", request, process).success:
-                    raise WorkerError("The replay node refused the motion.", "See what it says above.")
-            asked = time.monotonic()
-            while not (begun := self._ask(Trigger, f"{NODE}/execute", Trigger.Request(), process)).success:
-                if time.monotonic() - asked > SERVICE_S:
-                    raise WorkerError(f"The replay does not begin: {begun.message}", "See what it says above.")
-                time.sleep(0.5)  # readings and the recorder may not be there yet
-            self._until(lambda: statuses[-1].message in ("succeeded", "aborted"), process, "end of the replay")
-            values = {pair.key: pair.value for pair in statuses[-1].values}
-            ended = Replayed(statuses[-1].message, values["detail"], values["watch"])
-            if self._ask(Trigger, f"{NODE}/retract", Trigger.Request(), process).success:
-                self._until(lambda: statuses[-1].message in ("retracted", "aborted"), process, "way back")
-            return ended
-        finally:
-            process.terminate()
-            process.wait(SERVICE_S)
-            self._node.destroy_subscription(heard)
-
-    def _ask(self, kind: Any, name: str, request: Any, process: subprocess.Popen[bytes] | None = None) -> Any:
-        """Answer of a service; ``process``: of the replay node, where that is asked."""
-        client = self._node.create_client(kind, name)
-        try:
-            self._until(client.service_is_ready, process, f"service {client.srv_name}", SERVICE_S)
-            future = client.call_async(request)
-            self._until(future.done, process, f"answer of {client.srv_name}", SERVICE_S)
-            return future.result()
-        finally:
-            self._node.destroy_client(client)
-
-    def _until(
-        self,
-        condition: Callable[[], bool],
-        process: subprocess.Popen[bytes] | None,
-        what: str,
-        most_s: float = REPLAY_S,
-    ) -> None:
-        import rclpy
-
-        end = time.monotonic() + most_s
-        while not condition():
-            rclpy.spin_once(self._node, timeout_sec=0.1)
-            if process is not None and process.poll() is not None:
-                raise WorkerError(f"The replay node ended with code {process.returncode}.", "See what it says above.")
-            if time.monotonic() > end:
-                raise WorkerError(f"There is no {what} after {most_s:g} s.", "See what the nodes say above.")
 
 
 @command

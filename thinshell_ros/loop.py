@@ -17,6 +17,7 @@ from sim_core.errors import ThinshellError
 from thinshell_ros.pacing import Pacer
 from thinshell_ros.physics import RETRY_S, Physics
 from thinshell_ros.protocol import (
+    BACK,
     Batch,
     Done,
     Keep,
@@ -50,12 +51,13 @@ class Loop:
         factor: float = 1.0,
         catches_up: bool = True,
         clock: Callable[[], float] = time.monotonic,
+        paused: bool = False,
     ) -> None:
         self._link = link
         self._physics = physics
         self._clock = clock
         self._pacer = Pacer(factor, catches_up)
-        self._paused = False
+        self._paused = paused
         self._stuck = ""
         self._retry_at = 0.0
         self._running = True
@@ -166,7 +168,7 @@ class Loop:
             self._link.send(Done(request.number, False, self._stuck))
             return
         self._stuck = ""
-        self._link.send(Done(request.number, True, "back at the start", self._physics.rest))
+        self._link.send(Done(request.number, True, BACK, self._physics.rest))
         self._go_on()
 
     def _tell(self) -> None:
@@ -207,13 +209,14 @@ def end_with_parent() -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
-def run(link: Connection, settings: Settings) -> None:
-    """Body of the process: build, step, answer. Ends on request, or when the other side is gone."""
+def run(link: Connection, settings: Settings, paused: bool = False) -> None:
+    """Body of the process: build, step, answer. Ends on request, or when the other side is gone. ``paused``: it stands
+    still at first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node says when to stop
     end_with_parent()
     try:
         try:
-            Loop(link, Physics(settings), settings.real_time_factor, settings.catches_up).run()
+            Loop(link, Physics(settings), settings.real_time_factor, settings.catches_up, paused=paused).run()
         except ThinshellError as error:
             link.send(Status(False, str(error), 0.0, float("nan"), ended=True))
         except (EOFError, OSError):

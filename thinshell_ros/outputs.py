@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -12,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from visualization_msgs.msg import Marker
@@ -20,7 +22,7 @@ from sim_core.rigs import OrthographicCamera, Rig
 from thinshell_ros import clouds, messages, protocol
 from thinshell_ros.marker_images import MarkerImages
 from thinshell_ros.poses import Floats, Pose
-from thinshell_ros.qos import EVENTS, LATCHED, LATEST, STREAM, overridable
+from thinshell_ros.qos import EVENTS, LATCHED, LATEST, PICTURES, STREAM, overridable
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import EVENT_TOPIC, Channel, rest_topic
 from thinshell_ros.tare import Tare
@@ -33,6 +35,9 @@ _TYPES = {
     "tracks": PointCloud2,
     "mesh": Marker,
 }
+
+CLOCK_S, LEAST_S = 0.005, 0.001
+"""Period [s] of /clock, and the shortest time between two looks at what is due."""
 
 SKIP_S = 0.02
 """Time [s] left out at once that is worth an event."""
@@ -71,13 +76,15 @@ class Outputs:
         self._due = dict.fromkeys(channels, 0.0)
         self._cameras = {n: c for n, c in rig.cameras.items() if not isinstance(c, OrthographicCamera)}
 
-        def stream(kind: Any, topic: str) -> Publisher:
-            return node.create_publisher(kind, topic, **overridable(STREAM))
+        def stream(kind: Any, topic: str, profile: QoSProfile = STREAM) -> Publisher:
+            return node.create_publisher(kind, topic, **overridable(profile))
 
         self._streams = {name: stream(_TYPES[c.kind], c.topic) for name, c in channels.items()}
         self._infos = {n: stream(CameraInfo, c.topics.camera_info) for n, c in self._cameras.items()}
         shown = self._cameras if pictures else {}
-        self._pictures = {n: MarkerImages(c, partial(stream, topic=c.topics.image)) for n, c in shown.items()}
+        self._pictures = {
+            n: MarkerImages(c, partial(stream, topic=c.topics.image, profile=PICTURES)) for n, c in shown.items()
+        }
         self._rests = {
             name: node.create_publisher(PointCloud2, rest_topic(channel), LATCHED)
             for name, channel in channels.items()
@@ -106,7 +113,8 @@ class Outputs:
         self.flush()
         self._tare.restart(rest)
         self._publish_rest()
-        self.tell("reset", "The state is back at the start, and the readings are not tared any more.")
+        words = "The state is back at the start, and the readings are not tared any more."
+        self.tell("reset", words, {"poses": "exact"})
 
     def zero(self) -> list[str]:
         """Tare; returns the channels that cannot be, for lack of a reading."""
@@ -148,6 +156,12 @@ class Outputs:
             self._publish_clock(now, running)
         while self._held and self._held[0][0] <= now:
             self._publish(heapq.heappop(self._held)[2])
+
+    def due_in_s(self, now: float, running: bool) -> float:
+        """Time [s] after which something is due again; infinite where nothing is held back. Arguments as of
+        :meth:`publish`."""
+        due = max(self._held[0][0] - now, LEAST_S) if self._held else math.inf
+        return min(due, CLOCK_S) if self._clock is not None and running else due
 
     def _publish_clock(self, now: float, running: bool) -> None:
         """/clock goes on until the end of the step that is being made; it never goes back."""

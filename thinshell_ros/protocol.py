@@ -11,6 +11,9 @@ from thinshell_ros.poses import Floats, Pose
 from thinshell_ros.sampling import Reading
 from thinshell_ros.streams import Channel
 
+BACK = "back at the start"
+"""What a reset says when it is done."""
+
 
 @dataclass(frozen=True)
 class Settings:

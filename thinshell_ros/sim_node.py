@@ -35,8 +35,8 @@ from thinshell_ros.sim_parameters import SimParameters
 from thinshell_ros.streams import Channel, channels_of, twist_topic
 from thinshell_ros.supervisor import Supervisor
 
-PERIOD_S = 0.005
-"""Period [s] with which readings that are due, and /clock, are published."""
+IDLE_S = 0.25
+"""Longest time [s] after which the node looks at its physics again: an answer of that wakes it at once."""
 
 LOG_S = 5.0
 """Shortest time [s] between two lines of the log of the same kind."""
@@ -85,7 +85,7 @@ class SimNode(Node):
         )
         self._physics = Supervisor(self._settings, given.watchdog_s, arrived.trigger)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(PERIOD_S, self._on_poll, clock=wall)
+        self._timer = self.create_timer(IDLE_S, self._on_poll, clock=wall)
         self.create_timer(1.0, self._on_diagnostics, clock=wall)
 
     @staticmethod
@@ -146,7 +146,12 @@ class SimNode(Node):
             elif answer.rest:
                 self._outputs.restart(answer.rest)
                 self._restart(answer.rest)
-        self._outputs.publish(time.monotonic(), status is not None and not (status.paused or status.trouble))
+        running = status is not None and not (status.paused or status.trouble)
+        now = time.monotonic()
+        self._outputs.publish(now, running)
+        # Each time that the executor wakes costs a millisecond of work with this many topics and services.
+        self._timer.timer_period_ns = round(1e9 * min(self._outputs.due_in_s(now, running), IDLE_S))
+        self._timer.reset()
 
     def _restart(self, rest: dict[str, Floats]) -> None:
         self._targets.clear()

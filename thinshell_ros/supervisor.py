@@ -116,11 +116,13 @@ class Supervisor:
             self._waiting[ask()] = waiting
 
     def restart(self, settings: protocol.Settings | None = None) -> None:
-        """Kill the process and start another, from now on with these settings if given."""
+        """Kill the process and start another, from now on with these settings if given; one that was paused stays so
+        with other settings."""
+        paused = settings is not None and self.status is not None and self.status.paused
         self._worker.stop(0.0)
         self._give_up("The physics process was started again.")
         self.ready, self.status, self._since = False, None, None
-        self._worker.start(settings)
+        self._worker.start(settings, paused)
 
     def stop(self) -> None:
         """End the process, at once if it hangs or is still building its scene."""

@@ -32,14 +32,14 @@ class Worker:
         self._targets: dict[str, protocol.Command] = {}
         self.start()
 
-    def start(self, settings: protocol.Settings | None = None) -> None:
+    def start(self, settings: protocol.Settings | None = None, paused: bool = False) -> None:
         """Start the process, from now on with these settings if given. Building the scene takes it some seconds, then
-        it says ``Ready``."""
+        it says ``Ready``. ``paused``: it stands still then."""
         self._settings = settings or self._settings
         context = multiprocessing.get_context("spawn")
         self._link, far = context.Pipe()
         self._process = context.Process(
-            target=loop.run, args=(far, self._settings), name="thinshell-physics", daemon=True
+            target=loop.run, args=(far, self._settings, paused), name="thinshell-physics", daemon=True
         )
         self._process.start()
         far.close()

@@ -10,6 +10,7 @@ s^4 + 2 (1 + c) s = 3 c: at J = 0.37 for nu = 0.45, 1/3 for nu near 1/2 and 0.48
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -59,6 +60,7 @@ class LeastVolume:
         )
 
 
+@cache
 def softening_volume(nu: float) -> float:
     """Share of the volume at rest at which the force of a uniaxial test stops to rise."""
     c = 1.0 - 2.0 * nu

@@ -86,15 +86,14 @@ def write_results(folder: Path, out: Path, files: Sequence[Callable[[Path], obje
 
 
 def _try_room(folder: Path) -> None:
-    """Write as much as results may need, and take it away again. Raises ``OSError`` where it cannot be written."""
-    trial = folder / "room"
+    """Write as much as results may need, and take it away again. Raises ``OSError`` where it cannot be written.
+
+    The file has no name, so that nothing is left of it when the process is killed.
+    """
     block = b"\0" * (1 << 16)
-    try:
-        with trial.open("wb") as file:
-            for _ in range(ROOM_BYTES // len(block)):
-                file.write(block)
-    finally:
-        trial.unlink(missing_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        for _ in range(ROOM_BYTES // len(block)):
+            file.write(block)
 
 
 @contextmanager

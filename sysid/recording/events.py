@@ -36,6 +36,8 @@ class Event:
         zeros: of a tare, by topic, the wrench [N, N m] ``(6,)`` that is taken off from then on.
         left_out_s: of a skip, how much [s]; 0 where it is not said.
         lasts_s: how long readings were not as predicted [s].
+        exact_poses: of a reset, poses are those at their stamps, without noise, as of a simulator: one that is the same
+            as before is of a hand that stands still.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Event:
     zeros: Mapping[str, Floats]
     left_out_s: float = 0.0
     lasts_s: float = 0.0
+    exact_poses: bool = False
 
 
 def event_topics(bag: Bag) -> list[str]:
@@ -87,7 +90,8 @@ def _content(message: Any) -> list[Event]:
             zeros[key] = zero
         left_out_s = float(values.get("left_out_s", 0.0)) if name == "skip" else 0.0
         lasts_s = float(values.get("lasts_s", 0.0)) if name == "parted" else 0.0
-        events.append(Event(name, 0.0, zeros, left_out_s, lasts_s))
+        exact_poses = name == "reset" and values.get("poses") == "exact"
+        events.append(Event(name, 0.0, zeros, left_out_s, lasts_s, exact_poses))
     return events
 
 

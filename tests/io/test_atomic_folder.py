@@ -1,6 +1,7 @@
 """Results that are there whole or not at all."""
 
 import errno
+import multiprocessing
 import os
 import re
 import resource
@@ -14,6 +15,7 @@ import pytest
 
 from sim_core.errors import ConfigError, RecordingError
 from sim_core.rigs import load_rig
+from sysid.io import atomic_folder
 from sysid.io.atomic_folder import unfinished, whole_file, whole_folder, write_results
 from sysid.workflow import diagnose_bags, fit_bags
 
@@ -50,6 +52,27 @@ def test_a_folder_that_exists_keeps_what_it_has_and_what_a_killed_process_left_i
         assert not (out / "a").exists()
     assert sorted(p.name for p in out.iterdir()) == ["a", "mine"]
     assert [p.name for p in tmp_path.iterdir()] == ["fit"]
+
+
+WRITES_BYTES = 1 << 22
+
+
+def _tries_for_long(out: Path) -> None:
+    atomic_folder.ROOM_BYTES = 64 * WRITES_BYTES
+    with whole_folder(out):
+        signal.pause()
+
+
+def test_a_process_that_is_killed_while_it_looks_for_room_leaves_an_empty_folder(tmp_path: Path) -> None:
+    """A node that is killed takes its job along, and the job its folder if that is empty."""
+    process = multiprocessing.get_context("fork").Process(target=_tries_for_long, args=(tmp_path / "fit",))
+    process.start()
+    written = re.compile(r"wchar: (\d+)")
+    while int(written.findall(Path(f"/proc/{process.pid}/io").read_text())[0]) < WRITES_BYTES:
+        assert process.is_alive()
+    process.kill()
+    process.join()
+    assert [p.name for p in tmp_path.rglob("*")] == [".fit.unfinished"]
 
 
 def test_a_folder_may_be_a_link_to_another_file_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

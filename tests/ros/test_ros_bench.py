@@ -1,5 +1,6 @@
 """The bench of latencies, as a user runs it."""
 
+import re
 import subprocess
 import sys
 
@@ -16,8 +17,10 @@ def test_it_measures_latency_losses_and_memory(ros: None) -> None:
     lines = done.stdout.splitlines()
     assert [line.partition(":")[0] for line in lines] == [
         "command to markers", "markers", "age of stamps in the last 3 s", "memory of node and physics",
-        "machine",
+        "processor time for each cloud of markers", "machine",
     ]  # fmt: skip
     changes = int(lines[0].split(" of ")[-1].split()[0])
     assert changes >= 1 and "nan" not in lines[0]
     assert int(lines[1].split(": ")[1].split()[0]) > 10
+    node_ms, physics_ms = map(float, re.findall(r"([\d.]+) ms of the", lines[4]))
+    assert 0.0 < node_ms < 1e3 and 0.0 < physics_ms < 1e3

@@ -61,16 +61,16 @@ class FakePhysics:
 class Bench:
     """A loop in a thread, and the other end of its pipe."""
 
-    def __init__(self, factor: float = 1.0) -> None:
+    def __init__(self, factor: float = 1.0, paused: bool = False) -> None:
         self.physics = FakePhysics()
-        self._factor = factor
+        self._factor, self._paused = factor, paused
         self.link, far = multiprocessing.Pipe()
         self.thread = threading.Thread(target=self._run, args=(far,))
         self.thread.start()
 
     def _run(self, far: Connection) -> None:
         try:
-            Loop(far, self.physics, self._factor).run()  # type: ignore[arg-type]
+            Loop(far, self.physics, self._factor, paused=self._paused).run()  # type: ignore[arg-type]
         except (EOFError, OSError):
             pass
 
@@ -100,6 +100,14 @@ def bench() -> Iterator[Bench]:
     assert not bench.thread.is_alive(), "the loop ends when the other side is gone"
 
 
+@pytest.fixture
+def paused() -> Iterator[Bench]:
+    bench = Bench(paused=True)
+    yield bench
+    bench.link.close()
+    bench.thread.join(120.0)
+
+
 def is_status(**values: Any) -> Callable[[Any], bool]:
     return lambda a: isinstance(a, Status) and all(getattr(a, k) == v for k, v in values.items())
 
@@ -114,6 +122,14 @@ def test_it_keeps_real_time_and_says_how_it_is_doing(bench: Bench) -> None:
     assert (status.iterations, status.contacts, status.residual_n) == (3, 2, 1e-9)
     assert status.not_finite == status.steps > 0
     assert 0.0 < status.real_time_factor < 1.2
+
+
+def test_one_that_begins_paused_stands_still_until_it_is_let_go(paused: Bench) -> None:
+    assert isinstance(paused.until(lambda _: True), Ready)
+    assert paused.until(is_status(paused=True)).steps == 0
+    assert not [a for a in paused.drain(0.3) if isinstance(a, Batch)]
+    paused.link.send(Pause(1, False))
+    assert paused.until(lambda a: isinstance(a, Batch)).simulated_s == pytest.approx(0.01)
 
 
 def test_a_pause_stops_time_and_is_left_out_of_the_stamps(bench: Bench) -> None:

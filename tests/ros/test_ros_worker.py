@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from ros_live import WAIT_S, is_alive
 
+from thinshell_ros import supervisor
 from thinshell_ros.poses import Pose
-from thinshell_ros.protocol import Reset, Target
+from thinshell_ros.protocol import Reset, Status, Target
 from thinshell_ros.worker import Worker
 
 
@@ -33,6 +34,29 @@ def test_the_worker_never_swamps_its_process(monkeypatch: pytest.MonkeyPatch) ->
     worker._listening = True
     worker._pass_on()
     assert sent[-1] == Reset(1), "a reset forgets targets from before"
+
+
+@pytest.mark.parametrize("paused", [True, False])
+def test_another_rig_stands_still_where_the_one_before_did_and_what_hung_goes_on(
+    monkeypatch: pytest.MonkeyPatch, paused: bool
+) -> None:
+    started: list[tuple[Any, bool]] = []
+
+    class Stand:
+        def __init__(self, *_: object) -> None: ...
+        def stop(self, wait_s: float) -> None: ...
+
+        def start(self, settings: Any, paused: bool) -> None:
+            started.append((settings, paused))
+
+    monkeypatch.setattr(supervisor, "Worker", Stand)
+    settings: Any = "another rig"
+    watched = supervisor.Supervisor(settings, 1.0)
+    watched.status = Status(paused, "", 0.0, 1.0)
+    watched.restart(settings)
+    watched.status = Status(paused, "", 0.0, 1.0)
+    watched.restart()
+    assert started == [(settings, paused), (None, False)]
 
 
 ORPHAN = """

@@ -33,8 +33,8 @@ def recorded(path: Path, events: Sequence[Event], seconds: float = 4.0, moves: b
     types = TYPESTORE.types
     offsets: list[tuple[float, np.ndarray]] = []
     for name, t, values in events:
-        numbers = [float(v) for text in values.values() for v in text.split()]
-        zero = np.array(numbers) if name == "tare" and len(numbers) == 6 else np.zeros(6)
+        numbers = [float(v) for text in values.values() for v in text.split()] if name == "tare" else []
+        zero = np.array(numbers) if len(numbers) == 6 else np.zeros(6)
         offsets += [(t, zero)] if name != "skip" else []
     with RecordingWriter(path) as bag:
         for k in range(int(100 * seconds)):
@@ -127,3 +127,9 @@ def test_time_that_stamps_leave_out_is_a_warning_where_things_move_by_themselves
             f for f in examine(read_recording(bag, names, need_pose=False), one)[0] if f.name == "time_left_out"
         ]
         assert finding.severity == severity and finding.values == (1.5,) and "1.5 s" in finding.problem
+
+
+def test_a_simulator_says_that_its_poses_are_exact(tmp_path: Path) -> None:
+    told = read_recording(recorded(tmp_path / "told", [("reset", -0.5, {"poses": "exact"}), tare(1.0)]))
+    assert [event.exact_poses for event in told.events] == [True, False]
+    assert not read_recording(recorded(tmp_path / "untold", [("reset", -0.5, {})])).events[0].exact_poses

@@ -165,8 +165,9 @@ class Deployment:
 
     def watch(self) -> list[Report]:
         """Abort where the simulation has ended; returns the state and that of the recording."""
-        if self.session.moving and self._given.guard.simulated_time and not self._node.count_publishers("/clock"):
-            self.abort("Nobody publishes /clock any more: the simulation has ended.")
+        clock = self._node.resolve_topic_name("/clock")
+        if self.session.moving and self._given.guard.simulated_time and not self._node.count_publishers(clock):
+            self.abort(f"Nobody publishes {clock} any more: the simulation has ended.")
         reports = [self.session.report()]
         if self._recording is not None and (fault := self._recording.fault()):
             reports.append(Report("recording", "error", fault))

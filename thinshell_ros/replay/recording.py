@@ -37,6 +37,7 @@ class Recording:
         given = {"uri": self.bag, "rig": rig, "topics": f"[{', '.join(dict.fromkeys(topics))}]"}
         given["use_sim_time"] = str(bool(owner.get_parameter("use_sim_time").value)).lower()
         words = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={owner.get_namespace()}"]
+        words += ["-r", f"/clock:={owner.resolve_topic_name('/clock')}"]
         for name, value in given.items():
             words += ["-p", f"{name}:={value}"] if value else []
         context = multiprocessing.get_context("spawn")

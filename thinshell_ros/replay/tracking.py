@@ -16,6 +16,9 @@ FAST, JITTER_SHARE = 2.0, 0.25
 """A measured pose that moved by more than so many times what the fastest planned motion makes, and a share of its
 tolerance for noise, has jumped."""
 
+REMEMBERED = 3.0
+"""A jump that was within what is allowed is what is wrong with poses that are not, for so many times the lag."""
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -47,6 +50,7 @@ class Track:
         self._commands: deque[tuple[float, Placed]] = deque()
         self._last: tuple[float, Placed, bool] | None = None
         self._still: tuple[float, Placed] | None = None
+        self._step: tuple[float, str] | None = None
         self.jumped = False
         """Whether the last measured pose is farther from the one before than it can have moved."""
         self.error_m = math.nan
@@ -56,7 +60,7 @@ class Track:
         """A run begins, and this pose is commanded."""
         self._commands.clear()
         self._commands.append((now, first))
-        self._still = None
+        self._still = self._step = None
         self._last = None
 
     def command(self, now: float, pose: Placed) -> None:
@@ -80,13 +84,16 @@ class Track:
         self.error_m = away
         fits = away <= f.near_m and turn <= f.near_rad
         self._last = (stamp, pose, fits)
-        if fits:
-            self.jumped = False
-            return ""
         jump = self._jumped(last, stamp, pose) if last is not None and last[2] else ""
-        self.jumped = bool(jump)
+        self.jumped = bool(jump) and not fits
+        if fits:
+            if jump:
+                self._step = (stamp, jump) if self._step is None else None  # else it has jumped back
+            return ""
         if jump:
             return jump
+        if self._step is not None and stamp - self._step[0] <= REMEMBERED * f.lag_s:
+            return f"{self._step[1]} It is {away:.3g} m and {turn:.3g} rad away from where its commands were since."
         limits = f"at most {f.near_m:.3g} m and {f.near_rad:.3g} rad are allowed"
         if stamp - still[0] > f.lag_s:
             return (
