@@ -7,11 +7,11 @@ correlation of a column y at rest and X = (1, t, t^2),
     -2 log L = (n - 3) log s^2 + RSS / s^2 + log |K| + log |X^T K^-1 X|,
 
 summed over all stretches and columns, which share rho and the share that is white, those of one quantity s as well.
-Forces and torques are sums of the signals of the same strain gauges, so that their noise has one spectrum, unless two
-are worth ``NOISE.white_part_gain`` more. A noise with one part only is the simpler one: a second part has to be worth
-as much for each quantity. What is slow is known badly from short rests, and its most probable size is on average half
-of what it is, so means over the posterior are taken: of both variances, and of the variance of the mean of many
-samples, from which the correlation follows.
+Forces and torques are sums of the signals of the same strain gauges, so that their noise has one spectrum, unless what
+two of their own explain beyond one has a chance of a thousandth. A noise with one part only is the simpler one: a
+second part has to be worth ``NOISE.white_part_gain``. What is slow is known badly from short rests, and its most
+probable size is on average half of what it is, so means over the posterior are taken: of both variances, and of the
+variance of the mean of many samples, from which the correlation follows.
 """
 
 from __future__ import annotations
@@ -20,12 +20,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.settings.noise import NOISE
 
 COLOURS, SHARES = 1.0 - np.geomspace(0.5, 0.015, 12), np.linspace(0.04, 0.94, 11)
 """Correlations and white shares that the likelihood is integrated over."""
+
+
+ALIKE_BY_CHANCE = 1e-3
+"""Share of the sensors of one spectrum that are taken to have two."""
 
 
 class Mixture(NamedTuple):
@@ -53,16 +58,16 @@ def mixtures_of(quantities: Sequence[Rests]) -> list[Mixture | None]:
     rho, white = (grid.ravel() for grid in np.meshgrid(COLOURS, SHARES))
     of_two = [_loss(chosen[k], rho, white) for k in known]
     two, variances = (np.array([pair[k] for pair in of_two]) for k in (0, 1))
-    gain = 2.0 * NOISE.white_part_gain
 
     def least(which: list[int]) -> float:
         return float(min(one[which].sum(axis=0).min(), two[which].sum(axis=0).min()))
 
     whole = list(range(len(known)))
-    apart = len(known) > 1 and least(whole) - sum(least([k]) for k in whole) > gain
+    more = 2 * (len(known) - 1)  # of numbers that spectra have
+    apart = more > 0 and least(whole) - sum(least([k]) for k in whole) > chi2.isf(ALIKE_BY_CHANCE, more)
     for group in [[k] for k in whole] if apart else [whole] if whole else []:
         loss = two[group].sum(axis=0)
-        if float(one[group].sum(axis=0).min() - loss.min()) < gain * len(group):
+        if float(one[group].sum(axis=0).min() - loss.min()) < 2.0 * NOISE.white_part_gain:
             continue
         loss = loss + prior_loss(rho)
         weight = np.exp(-0.5 * (loss - loss.min()))

@@ -73,7 +73,7 @@ def test_a_slow_press_is_no_rest(speed: float, jitter: float) -> None:
         assert first[0] == 0 and t[first[-1]] > 0.5 and t[last[0]] < 5.5 and last[-1] == 600
     noise = estimate_noise([run], "gauge")
     assert noise.sigma == pytest.approx(0.01, rel=0.15)
-    assert np.all(noise.rho < 0.3)
+    assert np.all(noise.correlation < 0.3)
 
 
 @pytest.mark.parametrize("turning", [False, True], ids=["shift", "turn"])
