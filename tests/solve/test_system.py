@@ -142,7 +142,7 @@ def soft(system):
 
 
 def graded(system):
-    system.terms[0].scale(np.linspace(0.5, 1.0, len(system.terms[0].areas)))
+    system.terms[0].scale(np.linspace(0.5, 1.0, len(system.terms[0].triangles)))
 
 
 def bent(system):
@@ -155,7 +155,7 @@ def yielding(system):
 
 def tired(system):
     """As far as it has yielded there."""
-    count = len(system.terms[1].areas)
+    count = len(system.terms[1].stiffness)
     system.terms[1].scale_flow(np.full(count, 0.2), np.full(count, 0.5))
 
 
