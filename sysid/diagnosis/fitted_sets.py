@@ -140,8 +140,10 @@ class SetFits:
     def with_error_where_it_stands(self, one: FittedSet) -> FittedSet:
         """A set fitted on with the errors of mesh and time step as they are where it stands, in turns until it stays
         there: what a law adds to them the baseline, which is without it, does not show. The set as it is where these
-        cannot be measured."""
+        cannot be measured, and where a reference model is simulated with every fit, which costs ten times as much."""
         assert self._base.problem.named is not None
+        if self._base.reference is not None:
+            return one
         for _ in range(DISCRETISATION.error_rounds):
             try:
                 named = self._base.problem.named.with_refined(self._errors_of(one.fitted))
@@ -162,7 +164,7 @@ class SetFits:
         runs = base.problem.runs
         rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
         jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
-        return standing(coarse, base.reference, rigs, runs, [job.result() for job in jobs]).refined
+        return standing(coarse, None, rigs, runs, [job.result() for job in jobs]).refined
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""

@@ -258,6 +258,8 @@ def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch:
 
     monkeypatch.setattr(fitted_sets, "standing", fails)
     assert fits.with_error_where_it_stands(one) is one
+    fits._base.reference = cast(Any, "finer cells")
+    assert fits.with_error_where_it_stands(one) is one and len(submitted) == 4
 
 
 def test_what_is_far_less_probable_is_not_fitted_again() -> None:
