@@ -20,17 +20,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from sysid.noise.sampling_interval import in_sampling_intervals
 from sysid.settings.noise import NOISE
 
 COLOURS, SHARES = 1.0 - np.geomspace(0.5, 0.015, 12), np.linspace(0.04, 0.94, 11)
 """Correlations and white shares that the likelihood is integrated over."""
-
-
-ALIKE_BY_CHANCE = 1e-3
-"""Share of the sensors of one spectrum that are taken to have two."""
 
 
 class Mixture(NamedTuple):
@@ -49,6 +44,8 @@ Rests = Sequence[tuple[np.ndarray, np.ndarray]]
 def mixtures_of(quantities: Sequence[Rests]) -> list[Mixture | None]:
     """The parts of the noise of quantities of one sensor at rest; None of one that has one part, which explains it as
     well. They have one spectrum where several do not explain them better."""
+    from scipy.special import chdtri
+
     chosen = [[(_some(values), t) for values, t in rests] for rests in quantities]
     chosen = [[(values, t) for values, t in rests if values.size] for rests in chosen]
     known = [k for k, rests in enumerate(chosen) if rests]
@@ -64,7 +61,7 @@ def mixtures_of(quantities: Sequence[Rests]) -> list[Mixture | None]:
 
     whole = list(range(len(known)))
     more = 2 * (len(known) - 1)  # of numbers that spectra have
-    apart = more > 0 and least(whole) - sum(least([k]) for k in whole) > chi2.isf(ALIKE_BY_CHANCE, more)
+    apart = more > 0 and least(whole) - sum(least([k]) for k in whole) > float(chdtri(more, NOISE.two_spectra_chance))
     for group in [[k] for k in whole] if apart else [whole] if whole else []:
         loss = two[group].sum(axis=0)
         if float(one[group].sum(axis=0).min() - loss.min()) < 2.0 * NOISE.white_part_gain:

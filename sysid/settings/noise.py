@@ -160,6 +160,9 @@ class NoiseSettings:
         "judgement",
     )
     spectrum_frequencies: int = setting(512, "1", "Frequencies that a spectrum is averaged over.", "cost")
+    two_spectra_chance: float = setting(
+        1e-3, "1", "Share of the sensors with one spectrum of noise that are taken to have two.", "convention"
+    )
     white_part_gain: float = setting(
         4.0, "nats", "Log likelihood that a white part in addition to the coloured one must be worth.", "judgement"
     )
