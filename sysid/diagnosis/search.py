@@ -67,7 +67,7 @@ def searched(fits: SetFits, say: Callable[[str], None]) -> tuple[list[FittedSet]
         if not simulated and leaves_misfit(ledger_with(fitted)):
             simulated, wanted = True, [*wanted, *(s for s in _simulated_best(fits, found) if s not in wanted)]
         wanted = [names for names in wanted if names not in tried][:room]
-        stale = [] if wanted else [one.names for one in _probable(posterior, fitted) if one.names not in measured]
+        stale = [] if wanted else [n for n in _notable(posterior) if n not in measured and n in tried]
         if stale:
             say("error of mesh and time step where effects stand")
             measured |= set(stale)
@@ -96,18 +96,18 @@ def ledger_with(fitted: list[FittedSet]) -> Ledger:
     return replace(fitted[0].ledger, amended=tuple(one.ledger.merged for one in fitted[1:]))
 
 
-def _wanted(posterior: Posterior, tried: set[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Sets of effects that were not tried and have a notable share of the probability of such sets, best first. None
-    where nothing missing is the best of them: what is weak is linear."""
+def _notable(posterior: Posterior) -> list[tuple[str, ...]]:
+    """Sets of effects that are known with a notable share of the probability of such sets, best first."""
     known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
     whole = sum(m.probability for m in known)
-    if not known[0].effects:
-        return []
-    return [
-        m.effects
-        for m in known
-        if m.effects not in tried and m.probability > DIAGNOSIS.fitted_share * max(whole, 1e-300)
-    ]
+    return [m.effects for m in known if m.probability > DIAGNOSIS.fitted_share * max(whole, 1e-300)]
+
+
+def _wanted(posterior: Posterior, tried: set[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Notable sets that were not tried. None where nothing missing is the best of them: what is weak is linear."""
+    notable = _notable(posterior)
+    best = next(m.effects for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects))
+    return [names for names in notable if names not in tried] if best else []
 
 
 def _parts(
@@ -123,19 +123,13 @@ def _parts(
     return [part for part in parts if part[0] not in tried]
 
 
-def _probable(posterior: Posterior, fitted: list[FittedSet]) -> list[FittedSet]:
-    """Sets that are fitted, of the most probable one and those not far less probable."""
-    known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
-    near = {m.effects for m in known if m.log_bayes_factor > known[0].log_bayes_factor - DIAGNOSIS.rival_nats}
-    return [one for one in fitted if one.names in near]
-
-
 def _rivals(posterior: Posterior, fitted: list[FittedSet]) -> tuple[FittedSet, list[FittedSet]]:
     """The most probable set of effects that are known, if it is fitted, and those that are a part of it, not far less
     probable, and fitted too."""
     known = [m for m in posterior.models if not any(e.startswith(UNKNOWN) for e in m.effects)]
     whole = next((one for one in fitted if one.names == known[0].effects), fitted[0])
-    return whole, [one for one in _probable(posterior, fitted) if set(one.names) < set(whole.names)]
+    near = {m.effects for m in known if m.log_bayes_factor > known[0].log_bayes_factor - DIAGNOSIS.rival_nats}
+    return whole, [one for one in fitted if set(one.names) < set(whole.names) and one.names in near]
 
 
 def leaves_misfit(ledger: Ledger) -> bool:
