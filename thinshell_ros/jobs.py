@@ -14,10 +14,14 @@ from thinshell_ros.job_process import Event, JobProcess, Request
 from thinshell_ros.job_state import JobState
 from thinshell_ros.motion_request import OptimiseRequest
 
+_LATEST_MS = [0]
+
 
 def new_id(kind: str) -> str:
-    """Name of a new job, by its kind and the time."""
-    return f"{kind}_{time.strftime('%Y%m%d_%H%M%S')}_{time.time_ns() // 1_000_000 % 1000:03d}"
+    """Name of a new job, by its kind and the time [ms]; of two within a millisecond the second has the next one."""
+    _LATEST_MS[0] = max(_LATEST_MS[0] + 1, time.time_ns() // 1_000_000)
+    seconds, ms = divmod(_LATEST_MS[0], 1000)
+    return f"{kind}_{time.strftime('%Y%m%d_%H%M%S', time.localtime(seconds))}_{ms:03d}"
 
 
 class Jobs:

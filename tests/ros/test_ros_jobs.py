@@ -30,7 +30,7 @@ from thinshell_ros.fit_request import DiagnosisRequest, FitRequest
 from thinshell_ros.job_actions import PARAMETERS, feedback_fields, given_by, result_fields
 from thinshell_ros.job_process import Event, Failed, Succeeded
 from thinshell_ros.job_state import JobState
-from thinshell_ros.jobs import Jobs
+from thinshell_ros.jobs import Jobs, new_id
 from thinshell_ros.motion_request import OptimiseRequest, PlanRequest, optimise_request, plan_request
 
 RIG = load_rig(Path(__file__).parent / "data" / "pull_coarse.yaml")
@@ -227,6 +227,11 @@ def test_one_job_runs_at_a_time(jobs: Jobs, tmp_path: Path) -> None:
         jobs.start(request_of(RIG, tmp_path), "fit_8")
     assert jobs.cancel() == (True, "fit_7 was cancelled; nothing was written")
     assert jobs.cancel() == (False, "No job is running.")
+
+
+def test_names_of_jobs_of_one_millisecond_differ_and_are_in_order() -> None:
+    names = [new_id("fit") for _ in range(2000)]
+    assert names == sorted(set(names))
 
 
 def test_a_fit_goes_on_at_its_best_values_with_the_evaluations_that_are_left(jobs: Jobs, tmp_path: Path) -> None:
