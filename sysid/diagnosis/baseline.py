@@ -17,6 +17,7 @@ from scipy.stats import norm
 
 from sim_core.errors import ThinshellError
 from sim_core.rigs import Rig
+from sysid.diagnosis.error_turns import fitted_on, settled
 from sysid.diagnosis.fits import fit_within
 from sysid.diagnosis.held_out import as_predicted, held_out_problem
 from sysid.diagnosis.known_priors import open_parameters, with_known_priors
@@ -47,7 +48,7 @@ class Baseline:
     those held out; ``noise`` by channel; ``outliers``: readings that were left out; ``notes``: on recordings that could
     not be followed; ``reference``: the model with finer cells or wider pads whose readings are added, None where there
     is none; ``undecided``: recordings that keep the time steps of the rig, since too much of them is not explained to
-    tell."""
+    tell; ``measured_at``: scaled values ``(p,)`` at which the errors of mesh and time step were measured."""
 
     recorded: list[Run]
     problem: Problem
@@ -59,6 +60,7 @@ class Baseline:
     notes: tuple[str, ...]
     reference: Reference | None
     undecided: tuple[str, ...] = ()
+    measured_at: np.ndarray | None = None
 
     @property
     def engine(self) -> SpaceMappedPredictor:
@@ -127,27 +129,16 @@ def fit_baseline(
     clean, outliers = without_outliers(runs, fitted.predictions, noise)
     noise = channel_noise(rig, clean, held_out)
     say("error of mesh and time step where the fit stands")
-    unknown = ""
-    known = np.array([p.known_sd or p.prior_sd for p in parameters])
-    within = DIAGNOSIS.error_measured_within_sd if reference is None else DIAGNOSIS.reference_within_sd
-    within = DIAGNOSIS.ringing_within_sd if rig.solver.inertia else within
-    far = bool(np.abs((fitted.scaled - start) / known).max(initial=0.0) > within)
-    try:
-        if elsewhere is not None or far:
-            model = stands(fitted.scaled, sparing.predict_all(rig, runs, parameters, fitted.scaled))
-    except ThinshellError as error:
-        unknown = f"it stands where its discretisation error is not known. {error}"
     problem = problem_of(clean)
-    fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, rig, parameters, fitted.scaled)
-    if unknown:
-        fitted.converged, fitted.message = False, unknown
-    problem.engine = SpaceMappedPredictor(engine, model.engine.added)
+    fitted = fitted_on(problem, fitted)
+    problem, fitted, at = settled(problem, fitted, reference, start)
+    problem.engine = SpaceMappedPredictor(engine, cast(SpaceMappedPredictor, problem.engine).added)
     say("held-out recordings")
     check, notes = held_out_problem(engine, fitted, noise, held_out, reference)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
     extent = () if reference is None else reference.notes
     notes = (*extent, *warnings, *notes)
-    return Baseline(list(runs), problem, fitted, check, there, noise, outliers, notes, reference, undecided)
+    return Baseline(list(runs), problem, fitted, check, there, noise, outliers, notes, reference, undecided, at)
 
 
 def with_all_named_errors(base: Baseline, named: NamedErrors) -> Baseline:
@@ -167,16 +158,20 @@ def without_mistakes_of(base: Baseline, predictions: Sequence[Prediction]) -> Ba
 
 def _fitted_on(base: Baseline, problem: Problem) -> Baseline:
     """The baseline fitted to another problem from where it stands."""
-    model = base.fitted
-    problem.engine = SparingPredictor(base.engine)
-    fitted = fit_within(problem, DIAGNOSIS.baseline_evaluations_beside, model.centre, model.parameters, model.scaled)
     problem.engine = base.engine
-    if not model.converged:
-        fitted.converged, fitted.message = False, model.message
+    return with_fit(replace(base, problem=problem), fitted_on(problem, base.fitted))
+
+
+def with_fit(base: Baseline, fitted: Fitted) -> Baseline:
+    """The baseline with another fit to its problem, and with the errors of mesh and time step where that stands."""
+    was = base.fitted
+    problem, fitted, at = settled(base.problem, fitted, base.reference, base.measured_at)
+    if not was.converged:
+        fitted.converged, fitted.message = False, was.message
     fitted = with_own_derivatives(problem, fitted)
     check = as_predicted(base.check, fitted)
     there = check.evaluate(fitted.rig, [], np.zeros(0)) if check.runs else None
-    return replace(base, problem=problem, fitted=fitted, check=check, there=there)
+    return replace(base, problem=problem, fitted=fitted, check=check, there=there, measured_at=at)
 
 
 def with_own_derivatives(problem: Problem, fitted: Fitted) -> Fitted:

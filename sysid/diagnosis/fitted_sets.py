@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,27 +20,22 @@ from sysid.comparison.ledger import Ledger
 from sysid.diagnosis.baseline import (
     Baseline,
     with_all_named_errors,
+    with_fit,
     with_own_derivatives,
     with_steps_that_it_follows,
     without_mistakes_of,
 )
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
-from sysid.diagnosis.fits import fit_within
+from sysid.diagnosis.error_turns import fitted_from, settled
 from sysid.diagnosis.look import Look, look
-from sysid.diagnosis.reference_model import added_at, standing
 from sysid.discretisation.approximations import Approximations
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.predictor import Prediction
-from sysid.model.space_mapping import SpaceMappedPredictor
-from sysid.model.sparing_predictor import SparingPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.settings.discretisation import DISCRETISATION
 from sysid.settings.solve import SOLVE
-from sysid.solve.covariance import uncertainty
-from sysid.solve.discretisation_basis import ErrorShape
-from sysid.solve.named_errors import NamedErrors
 from sysid.solve.optimum import Fitted
+from sysid.solve.residuals import Problem
 
 Shapes = tuple[tuple[str, str], ...]
 """Effects, each with the label of one of its shapes in a ledger."""
@@ -49,15 +43,17 @@ Shapes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class FittedSet:
-    """The rig with a set of effects beyond it, empty for the baseline. ``there``: the model on the recordings held out,
-    None without any; ``seen``: the look at all other effects from there; ``named``: its errors, where those of mesh
-    and time step were measured where it stands, None: those of the baseline."""
+    """The rig with a set of effects beyond it, empty for the baseline. ``problem``: that it was fitted to; ``there``:
+    the model on the recordings held out, None without any; ``seen``: the look at all other effects from there;
+    ``measured_at``: scaled values ``(p,)`` at which its errors of mesh and time step were measured, None where they are
+    the baseline's."""
 
     hypotheses: tuple[Hypothesis, ...]
+    problem: Problem
     fitted: Fitted
     there: Fitted | None
     seen: Look
-    named: NamedErrors | None = None
+    measured_at: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,14 +78,15 @@ class FittedSet:
 
 @dataclass(frozen=True)
 class _Start:
-    """Where a fit begins. ``centre``: rig that the priors pull to; ``scaled`` ``(p,)``: in the fitted scale; ``named``:
-    errors other than those of the baseline."""
+    """Where a fit begins. ``centre``: rig that the priors pull to; ``scaled`` ``(p,)``: in the fitted scale; ``like``:
+    a problem whose errors hold there, which were measured at ``measured_at``, None: that of the baseline."""
 
     hypotheses: tuple[Hypothesis, ...]
     centre: Rig
     parameters: list[FitParameter]
     scaled: np.ndarray
-    named: NamedErrors | None = None
+    like: Problem | None = None
+    measured_at: np.ndarray | None = None
 
 
 class SetFits:
@@ -111,7 +108,8 @@ class SetFits:
 
     def _without_effects(self) -> FittedSet:
         base = self._base
-        return FittedSet((), base.fitted, base.there, self._responses.look_at(base.problem, base.fitted))
+        seen = self._responses.look_at(base.problem, base.fitted)
+        return FittedSet((), base.problem, base.fitted, base.there, seen, base.measured_at)
 
     def without_mistakes_of(self, best: FittedSet, fitted: Sequence[FittedSet]) -> list[FittedSet] | None:
         """All sets, of which the baseline is the first, fitted on without the readings that are mistakes by the
@@ -133,38 +131,26 @@ class SetFits:
 
     def _fitted_on(self, one: FittedSet) -> FittedSet | None:
         """A set fitted on to the recordings of the baseline from where it stands."""
-        fitted = one.fitted
-        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), fitted.scaled, one.named)
-        return self._fitted(start, (), " and ".join(one.names))
+        return self._fitted(_from(one, one.fitted.scaled), (), " and ".join(one.names))
 
     def with_error_where_it_stands(self, one: FittedSet) -> FittedSet:
-        """A set fitted on with the errors of mesh and time step as they are where it stands, in turns until it stays
-        there: what a law adds to them the baseline, which is without it, does not show. The set as it is where these
-        cannot be measured, and where a reference model is simulated with every fit, which costs ten times as much."""
-        assert self._base.problem.named is not None
-        if self._base.reference is not None:
+        """A set fitted on with the errors of mesh and time step as they are where it stands: what a law adds to them
+        the baseline, which is without it, does not show. The set as it is where they were measured there."""
+        problem = self._like(one.problem)
+        problem, fitted, at = settled(problem, one.fitted, self._base.reference, one.measured_at)
+        if at is one.measured_at:
             return one
-        for _ in range(DISCRETISATION.error_rounds):
-            try:
-                named = self._base.problem.named.with_refined(self._errors_of(one.fitted))
-            except ThinshellError:
-                return one
-            again = self._fitted_on(replace(one, named=named))
-            if again is None:
-                return one
-            moved = np.abs(again.fitted.scaled - one.fitted.scaled)
-            one = again
-            if np.all(moved <= DISCRETISATION.remeasured_sd * uncertainty(one.fitted).sd):
-                break
-        return one
+        return self._finished(problem, fitted, at, one.hypotheses, " and ".join(one.names)) or one
 
-    def _errors_of(self, fitted: Fitted) -> list[ErrorShape]:
-        """What the recordings of the baseline are off by mesh and time step where a model stands."""
-        base, coarse = self._base, self._base.engine.coarse
-        runs = base.problem.runs
-        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-        jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
-        return standing(coarse, None, rigs, runs, [job.result() for job in jobs]).refined
+    def _like(self, other: Problem | None) -> Problem:
+        """The problem of the baseline with the errors, and what a reference model adds, of another one."""
+        base = self._base.problem
+        if other is None:
+            return base
+        assert other.named is not None
+        found = base.with_named(other.named)
+        found.engine = other.engine
+        return found
 
     def promising(self, begun: FittedSet, wanted: Sequence[Shapes], temper: float, count: int) -> list[Shapes]:
         """Of some sets those that simulations explain best where their fits would begin."""
@@ -197,57 +183,53 @@ class SetFits:
             update={"effects": {k: v for k, v in fitted.centre.effects.items() if k != gone.key}}
         )
         parameters = [p for p, stays in zip(fitted.parameters, mine, strict=True) if stays]
-        start = _Start(kept, centre, parameters, fitted.scaled[mine])
+        start = _Start(kept, centre, parameters, fitted.scaled[mine], begun.problem)
         return self._fitted(start, (), " and ".join(h.effect.name for h in kept))
 
     def fitted_from(self, one: FittedSet, whole: FittedSet) -> FittedSet:
         """A set fitted again from where another one stands that has its effects and more, if that leaves less."""
         there = dict(zip((p.target for p in whole.fitted.parameters), whole.fitted.scaled, strict=True))
         fitted = one.fitted
-        at = np.array([there[p.target] for p in fitted.parameters])
-        start = _Start(one.hypotheses, fitted.centre, list(fitted.parameters), at, one.named)
         name = " and ".join(one.names)
-        again = self._fitted(start, (), name)
+        again = self._fitted(_from(one, np.array([there[p.target] for p in fitted.parameters])), (), name)
         self.failed.pop(name, None)  # It is fitted, whatever became of this.
         if again is None or again.fitted.residual @ again.fitted.residual >= fitted.residual @ fitted.residual:
             return one
         if not one.hypotheses:
-            self._base = replace(self._base, fitted=again.fitted, there=again.there)
-            self.baseline = again
+            self._base = with_fit(self._base, again.fitted)
+            self.baseline = again = self._without_effects()
         return again
 
     def _fitted(self, start: _Start, before: tuple[Hypothesis, ...], name: str) -> FittedSet | None:
         """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
-        base = self._base
+        problem, at = self._like(start.like), start.measured_at
+        reference = self._base.reference
         try:
-            problem = copy(base.problem) if start.named is None else base.problem.with_named(start.named)
-            problem.engine = SparingPredictor(base.problem.engine)
-            fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, start.scaled)
-            if base.reference is not None:
-                problem.engine = self._engine_at(fitted)
-                fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, fitted.scaled)
-            problem.engine = base.engine if base.reference is None else problem.engine
-            if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
-                self.failed[name] = "it moves readings out of sight"
-                return None
+            fitted = fitted_from(problem, start.centre, start.parameters, start.scaled, DIAGNOSIS.refit_evaluations)
+            if reference is not None:  # What it adds to the readings hangs on the model far more than other errors do.
+                problem, fitted, at = settled(problem, fitted, reference, at, rounds=1)
+        except ThinshellError as error:
+            self.failed[name] = f"could not be simulated: {error}"
+            return None
+        return self._finished(problem, fitted, at, (*before, *start.hypotheses), name)
+
+    def _finished(
+        self, problem: Problem, fitted: Fitted, at: np.ndarray | None, whole: tuple[Hypothesis, ...], name: str
+    ) -> FittedSet | None:
+        """A fit with derivatives of its own, held out recordings, and a look at all else; None, and why in ``failed``,
+        where it is no model of the recordings."""
+        base = self._base
+        if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
+            self.failed[name] = "it moves readings out of sight"
+            return None
+        try:
             fitted = with_own_derivatives(problem, fitted)
-            whole = (*before, *start.hypotheses)
             seen = self._responses.look_at(problem, fitted, whole)
             there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
         except ThinshellError as error:
             self.failed[name] = f"could not be simulated: {error}"
             return None
-        return FittedSet(whole, fitted, there, seen, start.named)
-
-    def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
-        """Predictions with what the reference model adds where a model stands."""
-        base, coarse = self._base, self._base.engine.coarse
-        assert base.reference is not None
-        runs = base.problem.runs
-        rigs = [rig_in(fitted.centre, fitted.parameters, fitted.scaled, run.name) for run in runs]
-        jobs = [coarse.submit(rig, run) for rig, run in zip(rigs, runs, strict=True)]
-        added = added_at(coarse, base.reference, rigs, runs, [job.result() for job in jobs])
-        return SpaceMappedPredictor(coarse, added.readings)
+        return FittedSet(whole, problem, fitted, there, seen, at)
 
     def _starts(self, begun: FittedSet, shapes: Shapes, temper: float) -> list[_Start]:
         """From where the most probable amplitudes lead, and with the rig's own numbers."""
@@ -301,6 +283,12 @@ class SetFits:
             return [problem.engine.submit(rig, run) for rig, run in zip(rigs, problem.runs, strict=True)]
         except ThinshellError:
             return None
+
+
+def _from(one: FittedSet, scaled: np.ndarray) -> _Start:
+    """A start of the fit of a set that is fitted already."""
+    fitted = one.fitted
+    return _Start(one.hypotheses, fitted.centre, list(fitted.parameters), scaled, one.problem, one.measured_at)
 
 
 def _least(base: Fitted, residual: np.ndarray) -> float:

@@ -40,17 +40,6 @@ class DiagnosisSettings:
     cauchy_width_sd: float = setting(
         3.0, "sd", "Whitened residual that counts as far in the loss by which branches are compared.", "convention"
     )
-    error_measured_within_sd: float = setting(
-        1.0,
-        "sd",
-        "How far, in standard deviations of what is known of parameters, the discretisation error is taken to "
-        "be that of the start.",
-        "cost",
-    )
-    reference_within_sd: float = setting(
-        0.3, "sd", "How far, likewise, what a reference model adds is taken to be that of the start.", "cost"
-    )
-    ringing_within_sd: float = setting(0.03, "sd", "How far, likewise, where something vibrates.", "cost")
 
     # what is known before
     known_sd: Mapping[str, float] = setting(

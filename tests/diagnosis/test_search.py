@@ -9,15 +9,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from sim_core.errors import ConvergenceError
 from sysid.comparison.ledger import AMPLITUDE, Column, Ledger, blocks_of
 from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis import fitted_sets
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits
 from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
 from sysid.settings.diagnosis import DIAGNOSIS
-from sysid.solve.discretisation_basis import ErrorShape
-from sysid.solve.named_errors import NamedError, NamedErrors
 
 N = 400
 T = np.linspace(0.0, 1.0, N)
@@ -222,44 +219,34 @@ def test_errors_of_the_mesh_are_measured_where_probable_sets_stand() -> None:
 
 
 def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is measured by the rig with its effects at their values, and takes the place of the baseline's in what is
-    fitted on; what cannot be measured is left."""
-    was, now = (ErrorShape("mesh", ({"wrist": np.full((3, 1), size)},)) for size in (1.0, 2.0))
-    columns = (NamedError("poses", "direction 1", 0.0, 1.0), NamedError("mesh", "mesh", 1.0, 0.5))
-    shapes = np.stack([np.full((3, 1), 7.0), was.shapes[0]["wrist"]], axis=-1)
-    named = NamedErrors(columns, ({"wrist": shapes},), (was,), ({"wrist": np.zeros((3, 0, 1))},))
+    """A set goes on with the readings of the baseline and with errors of its own; where these were measured where it
+    stands, it is not touched."""
+    at, engine = np.array([1.0]), "with what the reference adds where it stands"
+    own = SimpleNamespace(named="errors of its own", engine=engine)
     fits = SetFits.__new__(SetFits)
-    runs = [SimpleNamespace(name="rec_01")]
-    problem = SimpleNamespace(runs=runs, named=named)
-    submitted: list[Any] = []
-    coarse = SimpleNamespace(submit=lambda rig, run: submitted.append(rig) or SimpleNamespace(result=lambda: "plain"))
-    fits._base = cast(Any, SimpleNamespace(problem=problem, engine=SimpleNamespace(coarse=coarse), reference=None))
-    model = SimpleNamespace(parameters=[], scaled=np.zeros(0), centre="rig with the effect")
-    one = FittedSet((), cast(Any, model), None, cast(Any, None))
-    monkeypatch.setattr(fitted_sets, "rig_in", lambda centre, parameters, scaled, name: centre)
-    monkeypatch.setattr(fitted_sets, "standing", lambda *given: SimpleNamespace(refined=[now]))
-    stands = iter([0.0, 3.0, 3.5])
+    readings = SimpleNamespace(with_named=lambda named: SimpleNamespace(named=named, readings="without mistakes"))
+    fits._base = cast(Any, SimpleNamespace(problem=readings, reference="finer cells"))
+    one = FittedSet((), cast(Any, own), cast(Any, "fit"), None, cast(Any, None), at)
+    asked: list[Any] = []
 
-    def fitted_on(one: Any) -> Any:
-        return replace(one, fitted=SimpleNamespace(**{**vars(model), "scaled": np.array([next(stands)])}))
+    def measured_at(found: np.ndarray) -> None:
+        def settled(problem: Any, *given: Any) -> Any:
+            asked.append((problem.named, problem.engine, problem.readings, *given))
+            return "problem", "fitted on", found
 
-    fits._fitted_on = fitted_on  # type: ignore[method-assign, assignment]
-    monkeypatch.setattr(fitted_sets, "uncertainty", lambda fitted: SimpleNamespace(sd=np.ones(1)))
-    model.scaled = np.array([-2.0])
-    found = fits.with_error_where_it_stands(one)
-    assert submitted == ["rig with the effect"] * 3, "until it moves by less than a standard deviation"
-    assert found.fitted.scaled == [3.5] and found.named is not None
-    assert found.named.refined == (now,) and found.named.columns == columns
-    np.testing.assert_array_equal(found.named.shapes[0]["wrist"][0, 0], [7.0, 2.0])
-    np.testing.assert_array_equal(named.shapes[0]["wrist"][0, 0], [7.0, 1.0])
+        monkeypatch.setattr(fitted_sets, "settled", settled)
 
-    def fails(*given: Any) -> Any:
-        raise ConvergenceError("it does not end", "")
-
-    monkeypatch.setattr(fitted_sets, "standing", fails)
+    measured_at(at)
     assert fits.with_error_where_it_stands(one) is one
-    fits._base.reference = cast(Any, "finer cells")
-    assert fits.with_error_where_it_stands(one) is one and len(submitted) == 4
+    assert asked == [("errors of its own", engine, "without mistakes", "fit", "finer cells", at)]
+    finished: list[Any] = []
+    again = replace(one, fitted=cast(Any, "fitted on"))
+    fits._finished = lambda *given: finished.append(given) or again  # type: ignore[method-assign, assignment]
+    measured_at(np.array([2.0]))
+    assert fits.with_error_where_it_stands(one) is again
+    assert finished == [("problem", "fitted on", np.array([2.0]), (), "")]
+    fits._finished = lambda *given: None  # type: ignore[method-assign]
+    assert fits.with_error_where_it_stands(one) is one, "what is no model of the recordings any more"
 
 
 def test_what_is_far_less_probable_is_not_fitted_again() -> None:
@@ -269,16 +256,19 @@ def test_what_is_far_less_probable_is_not_fitted_again() -> None:
 
 @pytest.mark.parametrize("better", [True, False, None])
 @pytest.mark.parametrize("names", [(), ("lag",)])
-def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool | None, names: tuple[str, ...]) -> None:
+def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(
+    better: bool | None, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It begins where the larger set stands, with its own parameters; the baseline is that of all that follows. One
     that cannot be simulated from there has not failed."""
     modulus, size, other = (SimpleNamespace(target=t) for t in ("sheet.E", "effects.lag.s", "effects.creep.share"))
     own = [modulus] if not names else [modulus, size]
     effect = SimpleNamespace(effect=SimpleNamespace(name="lag"))
     model = SimpleNamespace(parameters=own, scaled=np.zeros(len(own)), centre="rig", residual=np.ones(3))
-    one = FittedSet((effect,) if names else (), cast(Any, model), None, cast(Any, None))
+    problem = cast(Any, "that it was fitted to")
+    one = FittedSet((effect,) if names else (), problem, cast(Any, model), None, cast(Any, None))
     larger = SimpleNamespace(parameters=[size, other, modulus], scaled=np.array([2.0, 3.0, 1.0]))
-    whole = FittedSet((), cast(Any, larger), None, cast(Any, None))
+    whole = FittedSet((), problem, cast(Any, larger), None, cast(Any, None))
     found = SimpleNamespace(**{**vars(model), "residual": np.full(3, 0.5 if better else 2.0)})
     fits = SetFits.__new__(SetFits)
     fits._base, fits.baseline, fits.failed = cast(Any, Base("before")), one, {}
@@ -289,9 +279,14 @@ def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(better: bool | Non
         if better is None:
             fits.failed[name] = "could not be simulated"
             return None
-        return FittedSet(one.hypotheses, cast(Any, found), None, cast(Any, None))
+        return FittedSet(one.hypotheses, problem, cast(Any, found), None, cast(Any, None))
+
+    def of_baseline() -> FittedSet:
+        return FittedSet((), problem, fits._base.fitted, None, cast(Any, None))
 
     fits._fitted = fitted  # type: ignore[method-assign, assignment]
+    fits._without_effects = of_baseline  # type: ignore[method-assign]
+    monkeypatch.setattr(fitted_sets, "with_fit", lambda base, fitted: replace(base, fitted=fitted))
     again = fits.fitted_from(one, whole)
     np.testing.assert_array_equal(begun[0], [1.0] if not names else [1.0, 2.0])
     assert (again.fitted is found) == bool(better) and not fits.failed
@@ -303,7 +298,6 @@ class Base:
     """What a baseline has that is changed."""
 
     fitted: Any
-    there: Any = None
 
 
 def test_beside_a_set_that_leaves_no_less_nothing_is_looked_for_again() -> None:

@@ -23,7 +23,6 @@ from sysid.model.parameters import rig_at
 from sysid.model.predictor import Prediction
 from sysid.noise.channel_noise import ChannelNoise
 from sysid.observations.observations import Measured, Run
-from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.discretisation import DISCRETISATION
 
 T, SIGMA, SHARE = np.linspace(0.0, 1.0, 200), 0.01, 0.3
@@ -216,14 +215,13 @@ def test_an_effect_that_hides_readings_explains_nothing(diagnose: Callable[..., 
 
 
 def test_the_baseline_goes_on_beside_the_discretisation_error_measured_last(
-    diagnose: Callable[..., Diagnosis], monkeypatch: pytest.MonkeyPatch
+    diagnose: Callable[..., Diagnosis],
 ) -> None:
     def law(rig: Rig, run: Run, fine: bool) -> np.ndarray:
         if fine and stiffness(rig) > 0.1 and run.name == "press":
             raise ConvergenceError("The fine mesh does not converge.", "Use another.")
         return read(rig) + (0.02 * RIPPLE if fine else 0.0)
 
-    monkeypatch.setattr(baseline, "DIAGNOSIS", replace(DIAGNOSIS, error_measured_within_sd=0.1))
     found = diagnose(law, concealed=0.0, held=0.0)
     assert found.verdict == "nothing_missing"
     assert any("The baseline fit did not converge" in note for note in found.notes)
