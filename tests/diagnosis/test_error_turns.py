@@ -88,6 +88,14 @@ def test_what_was_measured_where_it_stands_is_not_measured_again(toy: Toy) -> No
     assert len(toy.log) == 1 and again == near.scaled
 
 
+def test_turns_end_where_they_come_no_closer(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    stands = iter([0.9, 0.7, 0.95])
+    monkeypatch.setattr(error_turns, "fit_within", lambda *given: stood(next(stands)))
+    _, fitted, at = settled(cast(Any, toy), stood(0.5), None, np.array([0.0]))
+    assert at is not None and fitted.scaled == [0.95] and len(toy.log) == 3, "by 0.5, 0.4, 0.2, and 0.25"
+    assert at == [0.7]
+
+
 def test_an_error_that_cannot_be_measured_is_said(toy: Toy) -> None:
     far, at = stood(6.0), np.array([0.8])
     problem, fitted, measured_at = settled(cast(Any, toy), far, None, at)
