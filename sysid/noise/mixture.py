@@ -10,8 +10,9 @@ summed over all stretches and columns, which share rho and the share that is whi
 Forces and torques are sums of the signals of the same strain gauges, so that their noise has one spectrum, unless what
 two of their own explain beyond one has a chance of a thousandth. A noise with one part only is the simpler one: a
 second part has to be worth ``NOISE.white_part_gain``. What is slow is known badly from short rests, and its most
-probable size is on average half of what it is, so means over the posterior are taken: of both variances, and of the
-variance of the mean of many samples, from which the correlation follows.
+probable size is on average half of what it is, so means over the posterior are taken: of the white variance, of that of
+the mean of many samples, and of that of a sample about what those before it predict. The last one decides how large
+residuals are in units of the noise, and rests tell it best.
 """
 
 from __future__ import annotations
@@ -74,11 +75,23 @@ def mixtures_of(quantities: Sequence[Rests]) -> list[Mixture | None]:
 
 
 def _mean(weight: np.ndarray, variance: np.ndarray, rho: np.ndarray, white: np.ndarray) -> Mixture:
-    """The parts that have the mean variances, and the mean long-run variance, with weights ``(g,)``."""
-    of_white, of_coloured = float(weight @ (variance * white)), float(weight @ (variance * (1.0 - white)))
-    slow = float(weight @ (variance * (1.0 - white) * (1.0 + rho) / (1.0 - rho))) / of_coloured
-    whole = of_white + of_coloured
-    return Mixture(float(np.sqrt(whole)), min((slow - 1.0) / (slow + 1.0), NOISE.largest_correlation), of_white / whole)
+    """The parts whose white variance w, innovation variance s and long-run variance l are the means with weights
+    ``(g,)``. The sum of both parts is an ARMA(1, 1) process with the spectrum s |1 - q z|^2 / |1 - rho z|^2 on the unit
+    circle, where s q = w rho; at frequency zero that is l, so that s^(1/2) (1 - w rho / s) = l^(1/2) (1 - rho)."""
+    coloured, own = variance * (1.0 - white), variance * white
+    of_white, long_run = float(weight @ own), float(weight @ (own + coloured * (1.0 + rho) / (1.0 - rho)))
+    ahead = float(weight @ innovation_variance(own, coloured, rho))
+    slope = (np.sqrt(long_run) - np.sqrt(ahead)) / (np.sqrt(long_run) - of_white / np.sqrt(ahead))
+    slope = min(float(slope), NOISE.largest_correlation)
+    whole = of_white + (long_run - of_white) * (1.0 - slope) / (1.0 + slope)
+    return Mixture(float(np.sqrt(whole)), slope, of_white / whole)
+
+
+def innovation_variance(white: np.ndarray, coloured: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Variance of the sum of a white and a coloured part about its best prediction from all samples before: the larger
+    root s of s + (w rho)^2 / s = w (1 + rho^2) + c (1 - rho^2)."""
+    half = 0.5 * (white * (1.0 + rho**2) + coloured * (1.0 - rho**2))
+    return np.asarray(half + np.sqrt(half**2 - (white * rho) ** 2))
 
 
 def _loss(stretches: Rests, rho: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
