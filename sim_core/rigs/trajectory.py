@@ -10,6 +10,7 @@ import numpy as np
 
 from sim_core.errors import RecordingError
 from sim_core.rigs.fields import FloatArray
+from sim_core.rigs.pose_clock import taken_at
 from sim_core.rigs.pose_curve import PoseCurve, noise_of, pose_curve
 
 Profile = Callable[[FloatArray], FloatArray]
@@ -39,9 +40,11 @@ class PoseTrajectory:
         return pose_curve(self.times, self.positions, self.quaternions, np.array(self.noise), smooth=self.planned)
 
     def smoothed(self) -> PoseTrajectory:
-        """The same samples as measured ones: with the noise that they show."""
-        sigma = noise_of(self.times, self.positions, self.quaternions)
-        return replace(self, noise=(float(sigma[0]), float(sigma[1])))
+        """The same samples as measured ones: with the noise that they show, at the ticks of their clock where they were
+        taken at these (:mod:`sim_core.rigs.pose_clock`)."""
+        times = taken_at(self.times, self.positions, self.quaternions)
+        sigma = noise_of(times, self.positions, self.quaternions)
+        return replace(self, times=times, noise=(float(sigma[0]), float(sigma[1])))
 
     def drawn(self, rng: np.random.Generator) -> PoseCurve:
         """A curve along which the motion may have been as well as along :attr:`curve`: drawn from what the samples and
