@@ -27,9 +27,10 @@ from sysid.diagnosis.baseline import (
 )
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.fits import fit_within
-from sysid.diagnosis.look import Look, look
+from sysid.diagnosis.look import Look, Responses, look
 from sysid.diagnosis.reference_model import added_at, standing
 from sysid.discretisation.approximations import Approximations
+from sysid.io.checkpoints import Checkpoints
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.predictor import Prediction
 from sysid.model.space_mapping import SpaceMappedPredictor
@@ -58,6 +59,11 @@ class FittedSet:
     there: Fitted | None
     seen: Look
     named: NamedErrors | None = None
+
+    @property
+    def identity(self) -> object:
+        """What it is known by among the sets of a diagnosis."""
+        return self.names, self.fitted.scaled, self.named
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,15 +100,28 @@ class _Start:
 
 class SetFits:
     """Fits of sets of effects to the recordings of a baseline. ``failed``: why some were not possible, by what was
-    tried."""
+    tried; ``done``: the sets that were fitted, in the order in which they were. ``kept``: holds what was found before
+    where a diagnosis was interrupted."""
 
-    def __init__(self, base: Baseline, scales: RecordingScales, shapes: Sequence[Hypothesis] = ()) -> None:
-        approximations = Approximations(base.engine, base.fitted, base.problem)
+    def __init__(
+        self,
+        base: Baseline,
+        scales: RecordingScales,
+        shapes: Sequence[Hypothesis] = (),
+        kept: Checkpoints | None = None,
+    ) -> None:
+        self._kept, self._scales = kept or Checkpoints(), scales
         wanted = [*hypotheses(base.fitted.rig, scales), *shapes]
-        self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
-        self._base, self._scales = with_all_named_errors(base, self._responses.named), scales
+
+        def looked() -> tuple[Responses, Baseline]:
+            approximations = Approximations(base.engine, base.fitted, base.problem)
+            responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
+            return responses, with_all_named_errors(base, responses.named)
+
+        self._responses, self._base = self._kept.stage("effects", looked, base, wanted)
         self.failed = dict(self._responses.failed)
         self.baseline = self._without_effects()
+        self.done = [self.baseline]
 
     @property
     def base(self) -> Baseline:
@@ -117,7 +136,8 @@ class SetFits:
         """All sets, of which the baseline is the first, fitted on without the readings that are mistakes by the
         residuals of the ``best``; None where they are those that are left out already. Those of a model that is far off
         hide them."""
-        base = without_mistakes_of(self._base, best.fitted.predictions)
+        predictions = best.fitted.predictions
+        base = self._kept.stage("mistakes", lambda: without_mistakes_of(self._base, predictions), self._base, best)
         if base is None:
             return None
         self._base = base
@@ -129,7 +149,7 @@ class SetFits:
     def with_steps_that_it_follows(self, best: FittedSet) -> list[Run]:
         """The recordings given, those that could not tell their time steps with the ones that they follow by the
         ``best`` set; empty where these are the rig's."""
-        return with_steps_that_it_follows(self._base, best.fitted)
+        return self._kept.stage("steps", lambda: with_steps_that_it_follows(self._base, best.fitted), self._base, best)
 
     def _fitted_on(self, one: FittedSet) -> FittedSet | None:
         """A set fitted on to the recordings of the baseline from where it stands."""
@@ -146,7 +166,9 @@ class SetFits:
             return one
         for _ in range(DISCRETISATION.error_rounds):
             try:
-                named = self._base.problem.named.with_refined(self._errors_of(one.fitted))
+                there = one.fitted
+                refined = self._kept.stage("errors", lambda: self._errors_of(there), self._base, one)  # noqa: B023
+                named = self._base.problem.named.with_refined(refined)
             except ThinshellError:
                 return one
             again = self._fitted_on(replace(one, named=named))
@@ -171,7 +193,7 @@ class SetFits:
         if len(wanted) <= count:
             return list(wanted)
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)[:1]]
-        left = self._glance(starts)
+        left = self._kept.stage("glance", lambda: self._glance(starts), self._base, starts)
         order = np.argsort(left)[:count]
         return [wanted[k] for k in order if np.isfinite(left[k])]
 
@@ -180,7 +202,7 @@ class SetFits:
         from a look at it; None, and why in ``failed``, where that cannot be simulated."""
         name = " and ".join(e for e, _ in wanted[0])
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)]
-        left = self._glance(starts)
+        left = self._kept.stage("glance", lambda: self._glance(starts), self._base, starts)
         if not np.isfinite(left).any():
             self.failed[name] = "could not be simulated"
             return None
@@ -217,7 +239,17 @@ class SetFits:
         return again
 
     def _fitted(self, start: _Start, before: tuple[Hypothesis, ...], name: str) -> FittedSet | None:
-        """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
+        """What a fit from a start comes to, whose model has the effects of ``before`` as well; None, and why in
+        ``failed``, where it comes to nothing."""
+        found = self._kept.stage(f"set {name}", lambda: self._fit_from(start, before), self._base, start, before)
+        if isinstance(found, str):
+            self.failed[name] = found
+            return None
+        self.done.append(found)
+        return found
+
+    def _fit_from(self, start: _Start, before: tuple[Hypothesis, ...]) -> FittedSet | str:
+        """As :meth:`_fitted`, made now, or why it comes to nothing."""
         base = self._base
         try:
             problem = copy(base.problem) if start.named is None else base.problem.with_named(start.named)
@@ -228,15 +260,13 @@ class SetFits:
                 fitted = fit_within(problem, DIAGNOSIS.refit_evaluations, start.centre, start.parameters, fitted.scaled)
             problem.engine = base.engine if base.reference is None else problem.engine
             if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
-                self.failed[name] = "it moves readings out of sight"
-                return None
+                return "it moves readings out of sight"
             fitted = with_own_derivatives(problem, fitted)
             whole = (*before, *start.hypotheses)
             seen = self._responses.look_at(problem, fitted, whole)
             there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
         except ThinshellError as error:
-            self.failed[name] = f"could not be simulated: {error}"
-            return None
+            return f"could not be simulated: {error}"
         return FittedSet(whole, fitted, there, seen, start.named)
 
     def _engine_at(self, fitted: Fitted) -> SpaceMappedPredictor:
