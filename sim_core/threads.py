@@ -16,11 +16,11 @@ _own = threading.local()
 
 
 @contextmanager
-def worker_threads(workers: int) -> Iterator[ThreadPoolExecutor]:
+def worker_threads(workers: int, unwanted: threading.Event | None = None) -> Iterator[ThreadPoolExecutor]:
     """Threads for work side by side. When the block is left, what is pending is cancelled and what runs is asked to
-    end, and is waited for. Linear algebra has one thread within the block: more would take the cores from the
-    workers."""
-    unwanted = threading.Event()
+    end, and is waited for. ``unwanted``: set before that, asks what runs to end, and what is begun afterwards. Linear
+    algebra has one thread within the block: more would take the cores from the workers."""
+    unwanted = unwanted or threading.Event()
     pool = ThreadPoolExecutor(workers, "worker", _serve, (unwanted,))
     try:
         with threadpool_limits(1):

@@ -16,7 +16,9 @@ from sysid.cli.options import (
     library,
 )
 from sysid.observations.selection import check_parts
-from sysid.progress import progress, warn
+from sysid.progress import interrupts_reported, progress, warn
+
+KEPT = "Interrupted: what was found until now is kept, and the same command goes on from there."
 
 
 def diagnose(
@@ -29,6 +31,8 @@ def diagnose(
 ) -> None:
     """Find out whether the rig explains the recordings, and name the physics that is missing.
 
+    Ctrl-C keeps what was found: the report in the folder says it, and the same command goes on from there.
+
     Exit code 4: what the model leaves that was found is more than ten times the noise.
 
     Example: thinshell diagnose card_press run1 run2 --held-out run3 --out diagnosis
@@ -37,9 +41,9 @@ def diagnose(
 
     chosen = load_rig(rig)
     check_parts(bags, held_out or [])
-    check_new(out, "folder")
+    check_new(out, "folder", resumable=True)
     find = library("sysid.workflow", "diagnose_bags")
-    with progress("diagnose") as report:
+    with interrupts_reported(KEPT), progress("diagnose") as report:
         found = find(
             chosen,
             bags,
@@ -49,6 +53,7 @@ def diagnose(
             on_warning=warn,
             despite=despite or [],
             fresh_bodies=fresh_bodies,
+            resumable=True,
         )
     print(f"{found.table()}\nReport: {out / 'report.html'}")
     if found.no_success:

@@ -12,7 +12,7 @@ import typer
 
 from sim_core.errors import ConfigError, RecordingError, ThinshellError
 from sysid.cli.bounds import whole_number
-from sysid.io.atomic_folder import UNFINISHED
+from sysid.io.atomic_folder import CHECKPOINTS, UNFINISHED
 from sysid.observations.selection import part_of
 
 RigArgument = Annotated[
@@ -142,9 +142,13 @@ def check_bag(path: Path) -> None:
         raise RecordingError(f"The recording {path} does not exist.", "Check the path.")
 
 
-def check_new(path: Path, what: str) -> None:
-    """A place to write that does not exist yet or is empty but for what a killed process left; not below a file."""
-    if path.exists() and not (path.is_dir() and all(found.name == UNFINISHED for found in path.iterdir())):
+def check_new(path: Path, what: str, resumable: bool = False) -> None:
+    """A place to write that does not exist yet or is empty but for what a killed process left; not below a file.
+    ``resumable``: also a folder with stages of results that are not finished, from which the command goes on."""
+    left = {UNFINISHED}
+    if resumable and (path / CHECKPOINTS).is_dir():
+        left |= {CHECKPOINTS, "report.html"}
+    if path.exists() and not (path.is_dir() and all(found.name in left for found in path.iterdir())):
         raise ConfigError(f"The {what} {path} already exists.", "Name a new one with --out; nothing is overwritten.")
     parent = path.absolute().parent
     while not parent.exists():

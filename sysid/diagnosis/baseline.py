@@ -63,6 +63,13 @@ class Baseline:
     measured_at: np.ndarray | None = None
 
     @property
+    def identity(self) -> object:
+        """What it is known by in one diagnosis: the readings that are compared, and where it stands beside which
+        errors."""
+        clean = [(run.name, run.steps, [m.values for m in run.measured]) for run in self.problem.runs]
+        return clean, self.problem.named, self.fitted.scaled
+
+    @property
     def engine(self) -> SpaceMappedPredictor:
         """Predictions of the rig's model, with what the reference model adds."""
         return cast(SpaceMappedPredictor, self.problem.engine)

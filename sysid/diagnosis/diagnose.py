@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -28,20 +29,22 @@ from sysid.diagnosis.report_notes import candidates_of, is_in_answer, limits, na
 from sysid.diagnosis.residual_analysis import locate
 from sysid.diagnosis.result import Diagnosis, Misfit, UnreliablePlace, missed_multiples
 from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
-from sysid.diagnosis.validation import beyond_noise, of_readings, seen_by_both
+from sysid.diagnosis.unfinished import unfinished
+from sysid.diagnosis.validation import beyond_noise, misfit_of, worst_quantity
 from sysid.diagnosis.verdict import WHERE, Verdict, hidden_by_mesh, verdict_of
-from sysid.discretisation.refinement import error_sizes
 from sysid.fit.marker_field import marker_fields
-from sysid.fit.result import ChannelError, plot_series, rms_errors
+from sysid.fit.result import plot_series
+from sysid.io.checkpoints import Checkpoints
 from sysid.model.parallel_predictor import ParallelPredictor
 from sysid.model.provenance import provenance
 from sysid.observations.observations import Run, check_apart
 from sysid.progress.callback import Progress
+from sysid.progress.interrupts import on_interrupt
 from sysid.progress.work import Work, work_of
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.progress import PROGRESS
 from sysid.settings.uncertainty import UNCERTAINTY
-from sysid.solve.optimum import Fitted
+from sysid.solve.interruption import interrupts_ignored
 from sysid.uncertainty.goodness_of_fit import no_success
 
 
@@ -51,10 +54,15 @@ def diagnose_runs(
     held_out: Sequence[Run] = (),
     *,
     on_progress: Progress | Work | None = None,
+    kept: Checkpoints | None = None,
+    on_known: Callable[[Diagnosis], None] | None = None,
 ) -> tuple[Diagnosis, Rig]:
     """Diagnose; the second value is the rig with the answer in it (the fitted baseline when none). Where no run is held
-    out, the last of three or more is: what an effect predicts tells it from what follows noise and mesh. Raises
-    ``RecordingError`` where two runs have readings in common."""
+    out, the last of three or more is: what an effect predicts tells it from what follows noise and mesh.
+
+    ``kept``: holds the stages that are done, by which an interrupted diagnosis goes on; ``on_known``: takes what is
+    known where the baseline is fitted, where all effects have been looked at, and where Ctrl-C ends it. Raises
+    ``RecordingError`` where two runs have readings in common, and ``KeyboardInterrupt``."""
     check_apart(runs, held_out)
     said: tuple[str, ...] = ()
     if not held_out and len(runs) >= DIAGNOSIS.hold_out_from:
@@ -62,8 +70,8 @@ def diagnose_runs(
         said = (f"{held_out[0].name} was held out, to see what effects predict, since no recording was.",)
     started = time.monotonic()
     work = _work(on_progress, len(runs) + len(held_out))
-    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine:
-        fits, fitted, found = _searched(engine, rig, runs, held_out, work)
+    with ParallelPredictor(os.cpu_count(), costs=work.costs) as engine, on_interrupt(engine.end):
+        fits, fitted, found = _searched(engine, rig, runs, held_out, work, kept or Checkpoints(), on_known)
         work.enter("report")
         ledger = replace(ledger_with(fitted), provenance=provenance(rig, list(runs), list(held_out)))
         diagnosis, amended = _collect(rig, fits.base, fits, fitted, found, ledger)
@@ -80,20 +88,44 @@ def _work(on_progress: Progress | Work | None, recordings: int) -> Work:
 
 
 def _searched(
-    engine: ParallelPredictor, rig: Rig, runs: Sequence[Run], held_out: Sequence[Run], work: Work
+    engine: ParallelPredictor,
+    rig: Rig,
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    work: Work,
+    kept: Checkpoints,
+    on_known: Callable[[Diagnosis], None] | None,
 ) -> tuple[SetFits, list[FittedSet], Posterior]:
     """The fits, the sets that were fitted, and the posterior."""
+    kept.live("engine", engine)
     more = ""
+
+    def know(base: Baseline, fitted: Sequence[FittedSet]) -> None:
+        if on_known is not None:
+            on_known(unfinished(base, fitted, provenance(rig, list(runs), list(held_out))))
+
     while True:
         work.enter("baseline", f"first simulations{more}")
-        base = fit_baseline(engine, rig, runs, held_out, work.say)
+        base = kept.stage("baseline", partial(fit_baseline, engine, rig, runs, held_out, work.say), _steps(runs))
+        know(base, ())
         work.enter("effects", f"a look at all effects{more}")
-        fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]))
+        fits = SetFits(base, recording_scales([*base.problem.runs, *base.check.runs]), kept=kept)
+        know(fits.base, [fits.baseline])
         work.enter("sets of effects")
-        fitted, posterior, others = searched(fits, work.say)
+        try:
+            fitted, posterior, others = searched(fits, work.say)
+        except KeyboardInterrupt:
+            with interrupts_ignored():
+                know(fits.base, fits.done)
+            raise
         if posterior is not None:
             return fits, fitted, posterior
         runs, more = others, ", with shorter time steps"
+
+
+def _steps(runs: Sequence[Run]) -> list[object]:
+    """What a search may change in recordings that it is given: the time steps."""
+    return [(run.name, run.steps) for run in runs]
 
 
 def ledger_of(
@@ -162,7 +194,7 @@ def _collect(
     rig: Rig, base: Baseline, fits: SetFits, fitted: Sequence[FittedSet], found: Posterior, ledger: Ledger
 ) -> tuple[Diagnosis, Rig]:
     """The diagnosis as data, and the rig that it ends with."""
-    before = _misfit(base, base.fitted, base.there)
+    before = misfit_of(base, base.fitted, base.there)
     missed = _missed_there(base, before)
     verdict = _judged(base, fitted, found, ledger, bool(missed))
     asks = verdict.kind in ("named", "one_of", "partly", "unknown")
@@ -173,7 +205,7 @@ def _collect(
     if verdict.kind == "nothing_missing":
         located = replace(located, windows=dict.fromkeys(located.windows, ()), phase=words.NOWHERE)
     model, there = (answer.fitted, answer.there) if answer else (base.fitted, base.there)
-    after = _misfit(base, answer.fitted, answer.there) if answer else None
+    after = misfit_of(base, answer.fitted, answer.there) if answer else None
     named, alternatives = candidates_of(base, fitted, found, verdict)
     if answer is None:
         named, alternatives = (), (*named, *alternatives)
@@ -201,7 +233,7 @@ def _collect(
         upper_limits=limits(fits.baseline, temper_of(ledger), verdict.answer),
         baseline_parameters=named_parameters(base.fitted),
         amended_parameters=named_parameters(answer.fitted) if answer else (),
-        not_explained=words.not_explained(verdict, _worst(after or before)),
+        not_explained=words.not_explained(verdict, worst_quantity(after or before)),
         next_experiment=" ".join(advice),
         provenance=dict(ledger.provenance),
         seconds=0.0,
@@ -227,25 +259,3 @@ def _places(verdict: Verdict) -> tuple[UnreliablePlace, ...]:
         for place, p in verdict.places.items()
         if p >= 0.01
     )
-
-
-def _misfit(base: Baseline, fitted: Fitted, there: Fitted | None) -> Misfit:
-    """Misfit of a model, with the errors of the baseline next to its own."""
-    both = seen_by_both(base.check, base.there, there)
-    errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=error_sizes(base.problem))
-    if base.there is not None and there is not None:
-        errors += rms_errors(base.check, base.there, there, held_out=True, own=error_sizes(base.check))
-    return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
-
-
-def _worst(misfit: Misfit) -> str:
-    """The quantity that a model misses most over its noise, in words with units."""
-
-    def multiple(e: ChannelError) -> float:
-        return e.after_over_noise or 0.0
-
-    if not misfit.errors:
-        return ""
-    e = max(misfit.errors, key=multiple)
-    what = f"the {e.quantity or 'position'} of {e.channel} in {e.run}"
-    return f"{what}: {e.after:.3g} {e.unit}, {multiple(e):.1f} times its noise"

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -27,10 +28,12 @@ from sysid.diagnosis.baseline import (
 )
 from sysid.diagnosis.candidates import Hypothesis, hypotheses
 from sysid.diagnosis.error_turns import fitted_from, settled
-from sysid.diagnosis.look import Look, look
+from sysid.diagnosis.look import Look, Responses, look
 from sysid.discretisation.approximations import Approximations
+from sysid.io.checkpoints import Checkpoints
 from sysid.model.parameters import FitParameter, fit_parameters, rig_in, start_of
 from sysid.model.predictor import Prediction
+from sysid.model.space_mapping import SpaceMappedPredictor
 from sysid.observations.observations import Run
 from sysid.settings.diagnosis import DIAGNOSIS
 from sysid.settings.solve import SOLVE
@@ -54,6 +57,11 @@ class FittedSet:
     there: Fitted | None
     seen: Look
     measured_at: np.ndarray | None = None
+
+    @property
+    def identity(self) -> object:
+        """What it is known by among the sets of a diagnosis."""
+        return self.names, self.fitted.scaled, *_errors(self.problem)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,18 +96,37 @@ class _Start:
     like: Problem | None = None
     measured_at: np.ndarray | None = None
 
+    @property
+    def identity(self) -> object:
+        """What it is known by among the starts of a diagnosis."""
+        errors = None if self.like is None else _errors(self.like)
+        return self.hypotheses, self.centre, self.parameters, self.scaled, errors, self.measured_at
+
 
 class SetFits:
     """Fits of sets of effects to the recordings of a baseline. ``failed``: why some were not possible, by what was
-    tried."""
+    tried; ``done``: the sets that were fitted, in the order in which they were. ``kept``: holds what was found before
+    where a diagnosis was interrupted."""
 
-    def __init__(self, base: Baseline, scales: RecordingScales, shapes: Sequence[Hypothesis] = ()) -> None:
-        approximations = Approximations(base.engine, base.fitted, base.problem)
+    def __init__(
+        self,
+        base: Baseline,
+        scales: RecordingScales,
+        shapes: Sequence[Hypothesis] = (),
+        kept: Checkpoints | None = None,
+    ) -> None:
+        self._kept, self._scales = kept or Checkpoints(), scales
         wanted = [*hypotheses(base.fitted.rig, scales), *shapes]
-        self._responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
-        self._base, self._scales = with_all_named_errors(base, self._responses.named), scales
+
+        def looked() -> tuple[Responses, Baseline]:
+            approximations = Approximations(base.engine, base.fitted, base.problem)
+            responses = look(base.engine, base.fitted, base.problem, wanted, approximations)
+            return responses, with_all_named_errors(base, responses.named)
+
+        self._responses, self._base = self._kept.stage("effects", looked, base, wanted)
         self.failed = dict(self._responses.failed)
         self.baseline = self._without_effects()
+        self.done = [self.baseline]
 
     @property
     def base(self) -> Baseline:
@@ -115,7 +142,8 @@ class SetFits:
         """All sets, of which the baseline is the first, fitted on without the readings that are mistakes by the
         residuals of the ``best``; None where they are those that are left out already. Those of a model that is far off
         hide them."""
-        base = without_mistakes_of(self._base, best.fitted.predictions)
+        predictions = best.fitted.predictions
+        base = self._kept.stage("mistakes", lambda: without_mistakes_of(self._base, predictions), self._base, best)
         if base is None:
             return None
         self._base = base
@@ -127,7 +155,7 @@ class SetFits:
     def with_steps_that_it_follows(self, best: FittedSet) -> list[Run]:
         """The recordings given, those that could not tell their time steps with the ones that they follow by the
         ``best`` set; empty where these are the rig's."""
-        return with_steps_that_it_follows(self._base, best.fitted)
+        return self._kept.stage("steps", lambda: with_steps_that_it_follows(self._base, best.fitted), self._base, best)
 
     def _fitted_on(self, one: FittedSet) -> FittedSet | None:
         """A set fitted on to the recordings of the baseline from where it stands."""
@@ -136,11 +164,16 @@ class SetFits:
     def with_error_where_it_stands(self, one: FittedSet) -> FittedSet:
         """A set fitted on with the errors of mesh and time step as they are where it stands: what a law adds to them
         the baseline, which is without it, does not show. The set as it is where they were measured there."""
+        found = self._kept.stage("errors", lambda: self._settled(one), self._base, one)
+        return found if isinstance(found, FittedSet) else one
+
+    def _settled(self, one: FittedSet) -> FittedSet | str:
+        """As :meth:`with_error_where_it_stands`, made now, or why it stays as it is."""
         problem = self._like(one.problem)
         problem, fitted, at = settled(problem, one.fitted, self._base.reference, one.measured_at)
         if at is one.measured_at:
-            return one
-        return self._finished(problem, fitted, at, one.hypotheses, " and ".join(one.names)) or one
+            return "the errors were measured where it stands"
+        return self._finished(problem, fitted, at, one.hypotheses)
 
     def _like(self, other: Problem | None) -> Problem:
         """The problem of the baseline with the errors, and what a reference model adds, of another one."""
@@ -157,7 +190,7 @@ class SetFits:
         if len(wanted) <= count:
             return list(wanted)
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)[:1]]
-        left = self._glance(starts)
+        left = self._kept.stage("glance", lambda: self._glance(starts), self._base, starts)
         order = np.argsort(left)[:count]
         return [wanted[k] for k in order if np.isfinite(left[k])]
 
@@ -166,7 +199,7 @@ class SetFits:
         from a look at it; None, and why in ``failed``, where that cannot be simulated."""
         name = " and ".join(e for e, _ in wanted[0])
         starts = [start for shapes in wanted for start in self._starts(begun, shapes, temper)]
-        left = self._glance(starts)
+        left = self._kept.stage("glance", lambda: self._glance(starts), self._base, starts)
         if not np.isfinite(left).any():
             self.failed[name] = "could not be simulated"
             return None
@@ -196,12 +229,23 @@ class SetFits:
         if again is None or again.fitted.residual @ again.fitted.residual >= fitted.residual @ fitted.residual:
             return one
         if not one.hypotheses:
-            self._base = with_fit(self._base, again.fitted)
+            other = again.fitted
+            self._base = self._kept.stage("baseline again", lambda: with_fit(self._base, other), self._base, again)
             self.baseline = again = self._without_effects()
         return again
 
     def _fitted(self, start: _Start, before: tuple[Hypothesis, ...], name: str) -> FittedSet | None:
-        """What a fit from a start comes to, whose model has the effects of ``before`` as well."""
+        """What a fit from a start comes to, whose model has the effects of ``before`` as well; None, and why in
+        ``failed``, where it comes to nothing."""
+        found = self._kept.stage(f"set {name}", lambda: self._fit_from(start, before), self._base, start, before)
+        if isinstance(found, str):
+            self.failed[name] = found
+            return None
+        self.done.append(found)
+        return found
+
+    def _fit_from(self, start: _Start, before: tuple[Hypothesis, ...]) -> FittedSet | str:
+        """As :meth:`_fitted`, made now, or why it comes to nothing."""
         problem, at = self._like(start.like), start.measured_at
         reference = self._base.reference
         try:
@@ -209,26 +253,23 @@ class SetFits:
             if reference is not None:  # What it adds to the readings hangs on the model far more than other errors do.
                 problem, fitted, at = settled(problem, fitted, reference, at, rounds=1)
         except ThinshellError as error:
-            self.failed[name] = f"could not be simulated: {error}"
-            return None
-        return self._finished(problem, fitted, at, (*before, *start.hypotheses), name)
+            return f"could not be simulated: {error}"
+        return self._finished(problem, fitted, at, (*before, *start.hypotheses))
 
     def _finished(
-        self, problem: Problem, fitted: Fitted, at: np.ndarray | None, whole: tuple[Hypothesis, ...], name: str
-    ) -> FittedSet | None:
-        """A fit with derivatives of its own, held out recordings, and a look at all else; None, and why in ``failed``,
-        where it is no model of the recordings."""
+        self, problem: Problem, fitted: Fitted, at: np.ndarray | None, whole: tuple[Hypothesis, ...]
+    ) -> FittedSet | str:
+        """A fit with derivatives of its own, held out recordings, and a look at all else, or why it is no model of the
+        recordings."""
         base = self._base
         if fitted.samples < SOLVE.in_sight_share * base.fitted.samples:
-            self.failed[name] = "it moves readings out of sight"
-            return None
+            return "it moves readings out of sight"
         try:
             fitted = with_own_derivatives(problem, fitted)
             seen = self._responses.look_at(problem, fitted, whole)
             there = base.check.evaluate(fitted.rig, [], np.zeros(0)) if base.check.runs else None
         except ThinshellError as error:
-            self.failed[name] = f"could not be simulated: {error}"
-            return None
+            return f"could not be simulated: {error}"
         return FittedSet(whole, problem, fitted, there, seen, at)
 
     def _starts(self, begun: FittedSet, shapes: Shapes, temper: float) -> list[_Start]:
@@ -283,6 +324,11 @@ class SetFits:
             return [problem.engine.submit(rig, run) for rig, run in zip(rigs, problem.runs, strict=True)]
         except ThinshellError:
             return None
+
+
+def _errors(problem: Problem) -> tuple[object, object]:
+    """Errors of a problem, and what a reference model adds."""
+    return problem.named, cast(SpaceMappedPredictor, problem.engine).added
 
 
 def _from(one: FittedSet, scaled: np.ndarray) -> _Start:

@@ -29,6 +29,9 @@ from sysid.fit.marker_field import MarkerField
 from sysid.fit.result import ChannelError, Series
 from sysid.uncertainty.goodness_of_fit import no_success
 
+UNFINISHED = "unfinished"
+"""In place of a verdict where a diagnosis is not finished; no file of results says so."""
+
 SCHEMA = "thinshell.diagnosis/3"
 VERDICTS = (
     "nothing_missing", "named", "one_of", "partly", "unknown", "refine_discretisation", "recording_fault",

@@ -6,6 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid.diagnosis.baseline import Baseline
+from sysid.diagnosis.result import Misfit
+from sysid.discretisation.refinement import error_sizes
+from sysid.fit.result import ChannelError, rms_errors
 from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
@@ -38,6 +42,28 @@ def gain_of(both: tuple[Fitted, Fitted] | None) -> float | None:
     """Share of the misfit on held-out runs that an amendment removes (:func:`seen_by_both`); None where nothing is to
     be seen."""
     return None if both is None else 1.0 - of_readings(both[1]) / of_readings(both[0])
+
+
+def misfit_of(base: Baseline, fitted: Fitted, there: Fitted | None) -> Misfit:
+    """Misfit of a model, with the errors of the baseline next to its own."""
+    both = seen_by_both(base.check, base.there, there)
+    errors = rms_errors(base.problem, base.fitted, fitted, held_out=False, own=error_sizes(base.problem))
+    if base.there is not None and there is not None:
+        errors += rms_errors(base.check, base.there, there, held_out=True, own=error_sizes(base.check))
+    return Misfit(of_readings(fitted), None if both is None else both[1].misfit, tuple(errors))
+
+
+def worst_quantity(misfit: Misfit) -> str:
+    """The quantity that a model misses most over its noise, in words with units."""
+
+    def multiple(e: ChannelError) -> float:
+        return e.after_over_noise or 0.0
+
+    if not misfit.errors:
+        return ""
+    e = max(misfit.errors, key=multiple)
+    what = f"the {e.quantity or 'position'} of {e.channel} in {e.run}"
+    return f"{what}: {e.after:.3g} {e.unit}, {multiple(e):.1f} times its noise"
 
 
 def beyond_noise(plain: Fitted, amended: Fitted) -> float:

@@ -14,6 +14,9 @@ from sim_core.errors import ConfigError
 UNFINISHED = ".unfinished"
 """Name of the folder for what is not finished in a folder that exists; elsewhere the end of its name."""
 
+CHECKPOINTS = "checkpoints"
+"""Name of the folder of stages (:mod:`sysid.io.checkpoints`) in the folder of results that are not finished."""
+
 ROOM_BYTES = 1 << 22
 """Room that results and their reports need."""
 

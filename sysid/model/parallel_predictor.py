@@ -44,10 +44,15 @@ class ParallelPredictor:
         self._costs = costs
         self._paths = RolloutPaths()
         self._own = threading.local()
+        self._unwanted = threading.Event()
+
+    def end(self) -> None:
+        """Ask all predictions to end, with ``CancelledError``, those that are begun afterwards as well."""
+        self._unwanted.set()
 
     def __enter__(self) -> ParallelPredictor:
         self._open = ExitStack()
-        self._pool = self._open.enter_context(worker_threads(self._workers))
+        self._pool = self._open.enter_context(worker_threads(self._workers, self._unwanted))
         return self
 
     def __exit__(

@@ -39,6 +39,13 @@ def interrupts_reported(words: str) -> Iterator[Event]:
 
 
 @contextmanager
+def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
+    """Within the block Ctrl-C calls ``act`` before it does anything else, as to end what other threads do."""
+    with _answered(act, Event()):
+        yield
+
+
+@contextmanager
 def _answered(say: Callable[[], None], pressed: Event, once: bool = False) -> Iterator[None]:
     """Ctrl-C within the block sets the event and calls ``say`` before it does what it did; where it did nothing, or in
     a thread, it does nothing here. ``once``: pressed a second time it does not do what it did."""

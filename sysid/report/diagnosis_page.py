@@ -42,6 +42,7 @@ KINDS = {
     "unknown": ("Missing, but unknown", "bad"),
     "refine_discretisation": ("Refine the mesh first", "fair"),
     "recording_fault": ("The recordings are at fault", "bad"),
+    "unfinished": ("Not finished", "fair"),
 }
 """Short form and colour of each verdict."""
 

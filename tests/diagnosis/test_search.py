@@ -14,6 +14,7 @@ from sysid.diagnosis import diagnose as diagnosing
 from sysid.diagnosis import fitted_sets
 from sysid.diagnosis.fitted_sets import FittedSet, SetFits
 from sysid.diagnosis.search import leaves_misfit, ledger_with, searched
+from sysid.io.checkpoints import Checkpoints
 from sysid.settings.diagnosis import DIAGNOSIS
 
 N = 400
@@ -226,6 +227,7 @@ def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch:
     fits = SetFits.__new__(SetFits)
     readings = SimpleNamespace(with_named=lambda named: SimpleNamespace(named=named, readings="without mistakes"))
     fits._base = cast(Any, SimpleNamespace(problem=readings, reference="finer cells"))
+    fits._kept = Checkpoints()
     one = FittedSet((), cast(Any, own), cast(Any, "fit"), None, cast(Any, None), at)
     asked: list[Any] = []
 
@@ -244,8 +246,8 @@ def test_the_error_of_the_mesh_is_that_of_the_model_with_the_effect(monkeypatch:
     fits._finished = lambda *given: finished.append(given) or again  # type: ignore[method-assign, assignment]
     measured_at(np.array([2.0]))
     assert fits.with_error_where_it_stands(one) is again
-    assert finished == [("problem", "fitted on", np.array([2.0]), (), "")]
-    fits._finished = lambda *given: None  # type: ignore[method-assign]
+    assert finished == [("problem", "fitted on", np.array([2.0]), ())]
+    fits._finished = lambda *given: "it moves readings out of sight"  # type: ignore[method-assign]
     assert fits.with_error_where_it_stands(one) is one, "what is no model of the recordings any more"
 
 
@@ -271,7 +273,7 @@ def test_a_set_that_is_fitted_again_is_kept_if_it_leaves_less(
     whole = FittedSet((), problem, cast(Any, larger), None, cast(Any, None))
     found = SimpleNamespace(**{**vars(model), "residual": np.full(3, 0.5 if better else 2.0)})
     fits = SetFits.__new__(SetFits)
-    fits._base, fits.baseline, fits.failed = cast(Any, Base("before")), one, {}
+    fits._base, fits.baseline, fits.failed, fits._kept = cast(Any, Base("before")), one, {}, Checkpoints()
     begun: list[np.ndarray] = []
 
     def fitted(start: Any, before: Any, name: str) -> Any:
@@ -328,6 +330,7 @@ def test_recordings_that_nothing_explains_are_asked_for_their_steps_beside_the_b
 
 def test_a_diagnosis_begins_anew_with_other_time_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
+    long, shorter = (SimpleNamespace(name="rec_01", steps=steps) for steps in (None, np.arange(3.0)))
 
     def baseline(engine: Any, rig: Any, runs: Any, *_: Any) -> Any:
         given.append(runs)
@@ -335,13 +338,16 @@ def test_a_diagnosis_begins_anew_with_other_time_steps(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(diagnosing, "fit_baseline", baseline)
     monkeypatch.setattr(diagnosing, "recording_scales", lambda runs: None)
-    monkeypatch.setattr(diagnosing, "SetFits", lambda *_: len(given))
+    monkeypatch.setattr(
+        diagnosing, "SetFits", lambda *_, **__: SimpleNamespace(number=len(given), base=None, baseline=None)
+    )
     monkeypatch.setattr(
         diagnosing,
         "searched",
-        lambda fits, tell: ([fits], None, ["shorter"]) if fits == 1 else ([fits], "posterior", []),
+        lambda fits, tell: ([fits], None, [shorter]) if fits.number == 1 else ([fits], "posterior", []),
     )
     search: Any = diagnosing._searched
     work = SimpleNamespace(enter=lambda *words: None, say=lambda text: None)
-    found = search("engine", "rig", ["long"], [], work)
-    assert given == [["long"], ["shorter"]] and found == (2, [2], "posterior")
+    found = search("engine", "rig", [long], [], work, Checkpoints(), None)
+    fits, fitted, posterior = found
+    assert given == [[long], [shorter]] and fits.number == 2 and fitted == [fits] and posterior == "posterior"

@@ -61,6 +61,9 @@ class Sums:
     def __exit__(self, *_: Any) -> None:
         pass
 
+    def end(self) -> None:
+        pass
+
     def submit(self, rig: Rig, run: Run, refine: int = 1, dt: float | None = None) -> Future[Prediction]:
         return self._told(rig, run, [], np.zeros(0), refine)
 
