@@ -118,7 +118,13 @@ def topics_to_record(rig: Rig) -> list[RecordedTopic]:
     """All topics of a rig: what the contract needs is expected; rest states and images are taken along."""
     topics: list[RecordedTopic] = []
     for effector in rig.end_effectors.values():
-        topics += [RecordedTopic(effector.topics.target_pose), RecordedTopic(effector.topics.current_pose)]
+        joints = effector.topics.joints
+        topics += [
+            RecordedTopic(effector.topics.target_pose),
+            RecordedTopic(effector.topics.current_pose, expected=joints is None),
+        ]
+        if joints is not None:
+            topics += [RecordedTopic(joints.topic), RecordedTopic(joints.description, expected=joints.urdf is None)]
     for sensor in rig.sensors.values():
         topics.append(RecordedTopic(sensor.topic))
         if isinstance(sensor, MarkerSensor):

@@ -132,8 +132,20 @@ def _load(path: Path, chain: tuple[Path, ...]) -> Rig:
     return rig.model_copy(update=update)
 
 
+def _with_urdf(hand: Any, folder: Path) -> Any:
+    topics = hand.get("topics") if isinstance(hand, dict) else None
+    joints = topics.get("joints") if isinstance(topics, dict) else None
+    if not (isinstance(topics, dict) and isinstance(joints, dict) and isinstance(joints.get("urdf"), str)):
+        return hand
+    path = str((folder / Path(joints["urdf"]).expanduser()).resolve())
+    return {**hand, "topics": {**topics, "joints": {**joints, "urdf": path}}}
+
+
 def _with_files(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The same with the paths of mesh files, which are relative to the folder of the rig, made absolute."""
+    """The same with the paths of mesh files and URDFs, which are relative to the folder of the rig, made absolute."""
+    hands = data.get("end_effectors")
+    if isinstance(hands, dict):
+        data = {**data, "end_effectors": {name: _with_urdf(hand, folder) for name, hand in hands.items()}}
     bodies = data.get("bodies")
     if not isinstance(bodies, dict):
         return data

@@ -97,6 +97,31 @@ class Joint(Strict):
         return self
 
 
+class JointPoses(Strict):
+    """Joints by whose positions the URDF of a robot tells the pose of an end effector.
+
+    The chain between the links ``base`` and ``tip`` has fixed, revolute, continuous and prismatic joints, which may
+    mimic others. ``angle_unit`` and ``length_unit`` are for positions that are not in rad and m, or that look as if
+    they were not.
+    """
+
+    topic: Topic = Field(default="joint_states", description="topic of `sensor_msgs/msg/JointState`")
+    tip: Text = Field(description="link of the URDF that is the end effector")
+    base: Text | None = Field(
+        default=None, description="link of the URDF that is the base frame; left out: `base_frame` of the end effector"
+    )
+    urdf: Text | None = Field(
+        default=None, description="file of the URDF; left out: what the recording has on the topic `description`"
+    )
+    description: Topic = Field(default="robot_description", description="topic of the URDF as text")
+    angle_unit: Literal["rad", "deg"] | None = Field(
+        default=None, description="unit of positions of turning joints, where they are not, or seem not to be, in rad"
+    )
+    length_unit: Literal["m", "mm"] | None = Field(
+        default=None, description="unit of positions of sliding joints, where they are not, or seem not to be, in m"
+    )
+
+
 class PoseTopics(Strict):
     """Where the poses of an end effector are, in a bag and on a live system.
 
@@ -105,7 +130,7 @@ class PoseTopics(Strict):
     ``axes``, ``base`` and ``tool`` are for recordings of another frame, as where the flange was recorded: the pose is
     base * P_recorded * tool, with positions along ``axes`` first.
     ``tf``: parent and child frame of the transforms ``/tf`` and ``/tf_static`` that are the measured pose, for robots
-    that publish no pose of their own.
+    that publish no pose of their own; ``joints``: joints whose positions are, likewise.
     ``max_gap_s``: longest gap in a recorded pose stream that is bridged by a straight line; a longer one
     is an error, unless the motion is known to be slow and steady there.
     """
@@ -114,6 +139,9 @@ class PoseTopics(Strict):
     current_pose: Topic = Field(default="current_pose", description="topic of measured poses")
     tf: Annotated[tuple[FrameId, FrameId], of_length(2)] | None = Field(
         default=None, description="parent and child frame of the transforms that are the measured pose"
+    )
+    joints: JointPoses | None = Field(
+        default=None, description="joints by whose positions a URDF tells the measured pose"
     )
     length_unit: Literal["m", "mm"] | None = Field(
         default=None, description="unit of recorded positions, where the recording does not say or does not keep to m"
@@ -131,6 +159,14 @@ class PoseTopics(Strict):
     max_gap_s: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=3600.0)] = Field(
         default=1.0, description="longest gap of a recorded pose stream that a straight line bridges"
     )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> PoseTopics:
+        if self.tf is not None and self.joints is not None:
+            raise trouble(
+                "has tf and joints, of which each would be the measured pose.", "Leave one of them out.", "tf"
+            )
+        return self
 
 
 class EndEffector(Displaced):

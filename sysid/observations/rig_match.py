@@ -11,12 +11,12 @@ import numpy as np
 from sim_core.errors import RecordingError
 from sim_core.rigs import MarkerSensor, Rig, Rigid, marker_positions, track_ids
 from sysid.recording.bag import TopicInfo
-from sysid.recording.message_types import CLOUD, COMPRESSED, IMAGE, POSE, POSES, TF, WRENCH, WRENCHES
+from sysid.recording.message_types import CLOUD, COMPRESSED, IMAGE, JOINTS, POSE, POSES, TF, WRENCH, WRENCHES
 
 STREAMS = {
     **dict.fromkeys(POSES, POSE),
     **dict.fromkeys(WRENCHES, WRENCH),
-    **{kind: kind for kind in (TF, CLOUD, IMAGE, COMPRESSED)},
+    **{kind: kind for kind in (TF, JOINTS, CLOUD, IMAGE, COMPRESSED)},
 }
 """Types of what a rig reads, and what each holds; other topics say nothing about it."""
 
@@ -39,12 +39,16 @@ class _Part:
 
 
 def _hands(rig: Rig) -> list[_Part]:
-    return [
-        _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.current_pose", (t.current_pose, t.target_pose), POSE)
-        if t.tf is None
-        else _Part(f"the pose of {n!r}", f"end_effectors.{n}.topics.tf", ("tf",), TF)
-        for n, t in ((n, e.topics) for n, e in rig.end_effectors.items())
-    ]
+    found = []
+    for name, effector in rig.end_effectors.items():
+        topics, words, key = effector.topics, f"the pose of {name!r}", f"end_effectors.{name}.topics"
+        if topics.tf is not None:
+            found.append(_Part(words, f"{key}.tf", ("tf",), TF))
+        elif topics.joints is not None:
+            found.append(_Part(words, f"{key}.joints.topic", (topics.joints.topic,), JOINTS))
+        else:
+            found.append(_Part(words, f"{key}.current_pose", (topics.current_pose, topics.target_pose), POSE))
+    return found
 
 
 def _senses(rig: Rig) -> list[_Part]:
@@ -136,4 +140,5 @@ def _named(rig: Rig) -> list[str]:
     """All topics that the rig names."""
     hands = [t for e in rig.end_effectors.values() for t in (e.topics.current_pose, e.topics.target_pose)]
     cameras = [t for c in rig.cameras.values() for t in (c.topics.marker_tracks, c.topics.image)]
+    hands += [e.topics.joints.topic for e in rig.end_effectors.values() if e.topics.joints is not None]
     return [*hands, *(s.topic for s in rig.sensors.values()), *cameras]

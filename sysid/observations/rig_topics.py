@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from sim_core.errors import ConfigError, nearest_match
-from sim_core.rigs import Rig
+from sim_core.rigs import EndEffector, Rig
 from sysid.recording import EETopics, SensorTopic, TopicNames
+from sysid.recording.joints import JointTopics
 
 
 def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str, ...]]:
@@ -26,15 +27,16 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
     for name, effector in rig.end_effectors.items():
         topics = effector.topics
         current, target = found(topics.current_pose), found(topics.target_pose)
-        if topics.tf is not None:
+        if topics.tf is not None or topics.joints is not None:
             current = None
         elif not current:
             missing.append(topics.current_pose)
-        if current or target or topics.tf:
+        if current or target or topics.tf or topics.joints:
             poses[name] = EETopics(
                 current_pose=current,
                 target_pose=target,
                 tf=topics.tf,
+                joints=joints_of(effector),
                 length_unit=topics.length_unit,
                 quaternion_order=topics.quaternion_order,
             )
@@ -72,6 +74,23 @@ def topics_of(rig: Rig, available: Iterable[str]) -> tuple[TopicNames, tuple[str
         columns=rig.table_columns,
     )
     return names, tuple(missing)
+
+
+def joints_of(effector: EndEffector) -> JointTopics | None:
+    """Where the joints of an end effector are recorded, None where its pose is a topic of its own."""
+    named = effector.topics.joints
+    if named is None:
+        return None
+    return JointTopics(
+        topic=named.topic,
+        base=named.base or effector.base_frame,
+        tip=named.tip,
+        urdf=named.urdf,
+        description=named.description,
+        angle_unit=named.angle_unit,
+        length_unit=named.length_unit,
+        max_gap_s=effector.topics.max_gap_s,
+    )
 
 
 def without(rig: Rig, names: Collection[str]) -> Rig:

@@ -11,6 +11,8 @@ POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 PLAIN_POSE = "geometry_msgs/msg/Pose"
 COVARIANCE_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+JOINTS = "sensor_msgs/msg/JointState"
+TEXT = "std_msgs/msg/String"
 TF = "tf2_msgs/msg/TFMessage"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 PLAIN_WRENCH = "geometry_msgs/msg/Wrench"
@@ -27,6 +29,7 @@ WRENCHES = (WRENCH, PLAIN_WRENCH)
 ROLES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "current_pose": (("current_pose",), POSES),
     "target_pose": (("target_pose",), POSES),
+    "joints": (("joint_states",), (JOINTS,)),
     "wrench": (("wrench",), WRENCHES),
     "markers": (("markers",), (CLOUD,)),
     "tracks": (("marker_tracks",), (CLOUD,)),

@@ -13,12 +13,14 @@ from sysid.recording.bag import Bag, open_bag
 from sysid.recording.events import event_topics, read_events, with_one_zero
 from sysid.recording.files import sha256
 from sysid.recording.images import ImageStream
+from sysid.recording.joints import description_topics, joint_series
+from sysid.recording.message_types import JOINTS
 from sysid.recording.messages import Series, read_series
 from sysid.recording.notes import Notes, plural
 from sysid.recording.recording import FileRecord, Provenance, Recording
 from sysid.recording.streams import CameraInfo, PoseStream
 from sysid.recording.tf import tf_series, tf_topics
-from sysid.recording.topics import TopicNames, camera_info_topic, resolve, sensor_topic
+from sysid.recording.topics import EETopics, TopicNames, camera_info_topic, resolve, sensor_topic
 
 _CONTENT: dict[str, Callable[[Any], Any]] = {
     "current_pose": poses.pose_content,
@@ -50,7 +52,9 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     bag = open_bag(Path(path), notes, names.columns)
     roles = _roles(names, bag, notes)
     by_tf = {name: ee.tf for name, ee in names.ee.items() if ee.tf is not None}
-    _check_needed(bag, roles, need_pose and not by_tf)
+    by_joints = {name: ee.joints for name, ee in names.ee.items() if ee.joints is not None}
+    joints = resolve("joints", {name: one.topic for name, one in by_joints.items()}, bag.topics, notes)
+    _check_needed(bag, roles, need_pose and not (by_tf or by_joints))
     series = {
         (role, name): _series(role, name, topic, names, bag, notes)
         for role, found in roles.items()
@@ -58,6 +62,8 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     }
     for name, (base, child) in by_tf.items():
         series[("current_pose", name)] = tf_series(bag, base, child, names.time, notes)
+    for name, chain in by_joints.items():
+        series[("current_pose", name)] = joint_series(bag, joints[name], chain, names.time, notes)
     _refuse_latched_only(bag, series)
     t0_ns = min(int(one.times_ns[0]) for one in series.values())
     _note_clocks(series, t0_ns, notes)
@@ -71,7 +77,9 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
         for camera, topic in calibrations.items()
     }
     targets = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("target_pose").items()}
-    measured = {name: poses.pose_stream(s, names.ee[name], t0_ns, notes) for name, s in of("current_pose").items()}
+    measured = {
+        name: poses.pose_stream(s, _as_computed(names.ee[name]), t0_ns, notes) for name, s in of("current_pose").items()
+    }
     events = read_events(bag, t0_ns, names.time, notes)
     wrenches, tared = {}, {}
     for name, one in of("wrench").items():
@@ -97,15 +105,21 @@ def read_recording(path: str | Path, topics: TopicNames | None = None, *, need_p
     used = {topic for found in roles.values() for topic in found.values()}
     used |= {topic for topic in calibrations.values() if topic}
     used |= set(tf_topics(bag)) if by_tf else set()
+    used |= {*joints.values(), *(topic for one in by_joints.values() for topic in description_topics(bag, one))}
     used |= set(event_topics(bag))
     _note_unused(bag, used, notes)
     return replace(recording, notes=notes.collected())
 
 
+def _as_computed(declared: EETopics) -> EETopics:
+    """What is declared of a measured pose: one that joints tell is in m and x y z w, whatever commanded poses are."""
+    return declared if declared.joints is None else replace(declared, length_unit="m", quaternion_order="xyzw")
+
+
 def _roles(names: TopicNames, bag: Bag, notes: Notes) -> dict[str, dict[str, str]]:
     """Return topic by name for every role but camera_info."""
     wanted: dict[str, Mapping[str, str | None]] = {
-        "current_pose": {name: ee.current_pose for name, ee in names.ee.items() if ee.tf is None},
+        "current_pose": {name: ee.current_pose for name, ee in names.ee.items() if not (ee.tf or ee.joints)},
         "target_pose": {name: ee.target_pose for name, ee in names.ee.items()},
         "wrench": {name: sensor_topic(value).topic for name, value in names.wrench.items()},
         "markers": {name: sensor_topic(value).topic for name, value in names.markers.items()},
@@ -178,9 +192,12 @@ def _check_needed(bag: Bag, roles: Mapping[str, Mapping[str, str]], need_pose: b
             f"Name the topics in the rig (--rig). Topics in the recording: {listing}.",
         )
     if need_pose and not (roles["current_pose"] or roles["target_pose"]):
+        joints = any(topic.msgtypes == (JOINTS,) for topic in bag.topics.values())
+        remedy = "Name the links that its joints move in the rig, as `topics.joints: {base: LINK, tip: LINK}`"
         raise RecordingError(
             f"{bag.path} holds no pose of an end effector: no current_pose or target_pose topic was found.",
-            f"Name the topic in the rig, in `topics` of the end effector. Topics in the recording: {listing}.",
+            f"{remedy if joints else 'Name the topic in the rig, in `topics`'} of the end effector. Topics in the "
+            f"recording: {listing}.",
         )
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from sim_core.errors import RecordingError, nearest_match
 from sysid.recording.bag import TopicInfo
+from sysid.recording.joints import JointTopics
 from sysid.recording.message_types import CAMERA_INFO, ROLES
 from sysid.recording.notes import Notes
 from sysid.recording.times import TimeSource
@@ -24,6 +25,7 @@ class EETopics:
         current_pose: measured pose; None looks for ``.../current_pose``.
         target_pose: commanded pose; None looks for ``.../target_pose``.
         tf: parent and child frame whose transform is the measured pose, in place of a topic of its own.
+        joints: joints by whose positions a URDF tells the measured pose, likewise.
         frame_id: the frame that the poses must be in; None accepts the one found.
         length_unit: unit of the positions. None means metres and refuses what cannot be metres.
         quaternion_order: order of the four numbers in x, y, z, w. None means x y z w and refuses what
@@ -33,6 +35,7 @@ class EETopics:
     current_pose: str | None = None
     target_pose: str | None = None
     tf: tuple[str, str] | None = None
+    joints: JointTopics | None = None
     frame_id: str | None = None
     length_unit: LengthUnit | None = None
     quaternion_order: QuaternionOrder | None = None
@@ -253,6 +256,12 @@ def _entry(part: type[EETopics] | type[SensorTopic], value: Any, where: str, rol
             if not (item is None or (isinstance(item, list | tuple) and len(item) == 2)):
                 raise RecordingError(f"{where}.{key} is {item!r}.", "Give two frames, as in [base_link, tool0].")
             value = {**value, key: None if item is None else tuple(map(str, item))}
+        elif key == "joints" and isinstance(item, Mapping):
+            _known_keys(item, [f.name for f in fields(JointTopics)], f"{where}.{key}")
+            lacking = [name for name in ("topic", "base", "tip") if name not in item]
+            if lacking:
+                raise RecordingError(f"{where}.{key} has no {lacking[0]}.", "Give topic, base and tip.")
+            value = {**value, key: JointTopics(**item)}
         elif key == "quaternion_order":
             _one_of(item, ("xyzw", "wxyz"), f"{where}.{key}")
         elif item is not None and not isinstance(item, str):
