@@ -101,8 +101,8 @@ class JointPoses(Strict):
     """Joints by whose positions the URDF of a robot tells the pose of an end effector.
 
     The chain between the links ``base`` and ``tip`` has fixed, revolute, continuous and prismatic joints, which may
-    mimic others. ``angle_unit`` and ``length_unit`` are for positions that are not in rad and m, or that look as if they were
-    not.
+    mimic others. ``angle_unit`` and ``length_unit`` are for positions that are not in rad and m, or that
+    look as if they were not.
     """
 
     topic: Topic = Field(default="joint_states", description="topic of `sensor_msgs/msg/JointState`")

@@ -1,8 +1,8 @@
 """Where the tip of a serial chain of a URDF is, from the positions of its joints.
 
 The chain is the only way between two links of the tree; what branches off it is not read. Forward kinematics is the
-product of the transforms along it (Siciliano et al., Robotics, 2009, section 2.7), for all instants at once. Libraries were
-tried: pinocchio brings 400 MB, yourdfpy the meshes of trimesh, and kinpy moves no mimic joints.
+product of the transforms along it (Siciliano et al., Robotics, 2009, section 2.7), for all instants at once.
+Libraries were tried: pinocchio brings 400 MB, yourdfpy the meshes of trimesh, and kinpy moves no mimic joints.
 """
 
 from __future__ import annotations
