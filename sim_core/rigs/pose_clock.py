@@ -18,7 +18,8 @@ FEWEST_TICKS = 20
 
 def taken_at(times: FloatArray, positions: FloatArray, quaternions: FloatArray) -> FloatArray:
     """Times [s] ``(n,)`` at which poses with the stamps ``times``, of ``positions`` ``(n, 3)`` and ``quaternions``
-    ``(n, 4)``, were taken: the stamps, or the ticks of the clock through them, of which some may have no pose."""
+    ``(n, 4)``, were taken: the stamps, or the ticks of the clock through them, of which some may have no pose. The
+    first and the last span no less than the stamps: what was measured between these is not outside of all poses."""
     n = len(times)
     if n < FEWEST_TICKS:
         return times
@@ -27,7 +28,10 @@ def taken_at(times: FloatArray, positions: FloatArray, quaternions: FloatArray) 
     regular = np.polyval(np.polyfit(ticks, times, 1), ticks)
     left = [_unpredicted(at, values) for values in (positions, quaternions) for at in (regular, times)]
     by_clock, by_stamps = (np.log(np.maximum(left[k::2], 1e-300)).sum() for k in (0, 1))
-    return regular if by_clock < by_stamps else times
+    if by_clock >= by_stamps:
+        return times
+    regular[0], regular[-1] = min(regular[0], times[0]), max(regular[-1], times[-1])
+    return regular
 
 
 def _unpredicted(times: FloatArray, values: FloatArray) -> float:
