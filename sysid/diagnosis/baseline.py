@@ -64,7 +64,7 @@ class Baseline:
 
     @property
     def identity(self) -> object:
-        """What it is known by in one diagnosis: the readings that are compared, and where it stands beside which
+        """What it is known by in one diagnosis: the readings that are compared, where it stands, and with which
         errors."""
         clean = [(run.name, run.steps, [m.values for m in run.measured]) for run in self.problem.runs]
         return clean, self.problem.named, self.fitted.scaled

@@ -15,7 +15,7 @@ follows (:mod:`sim_core.rigs.pose_curve`), and a body that rings responds to tha
 Of K motions dq_k drawn from what the poses leave open, with the derivative L of the readings by the motion, the
 whitened responses are W = [L dq_1 ... L dq_K] / K^(1/2) = U S V^T, and the readings have the error U S b with b ~ N(0,
 1), the covariance of which is that of the draws. A few draws do not span what is open at hundreds of instants: what a
-body follows at once is also an error of each instant (:func:`of_instants`). What rests on friction answers to the
+body follows at once is also an error of each instant (:func:`of_instants`). What rests on friction follows the
 last few nanometres of a motion, and by no more than the friction that there is: what rollouts along some of the draws
 change beyond their linear responses is an error of each instant as well. So is what readings change by while their
 stamps jitter (:func:`of_stamps`). And so is by how much the errors of mesh, time step and range of contacts jump from

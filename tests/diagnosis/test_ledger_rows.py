@@ -1,4 +1,4 @@
-"""Named errors of poses and of instants, and the blocks of a ledger beside them."""
+"""Named errors of poses and of instants, and the blocks of a ledger that has them."""
 
 from __future__ import annotations
 

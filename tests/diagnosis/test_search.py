@@ -309,7 +309,7 @@ def test_beside_a_set_that_leaves_no_less_nothing_is_looked_for_again() -> None:
 
 @pytest.mark.parametrize("undecided", [False, True])
 def test_recordings_that_follow_other_time_steps_begin_anew(undecided: bool) -> None:
-    """After the first fits, beside the set that leaves least, and before any other fit."""
+    """After the first fits, by the residuals of the set that leaves least, and before any other fit."""
     fits = Fits(seen := noise(2) + 3.0 * COURSES["lag"], seen)
     fits.shorter = cast(Any, ["shorter"])
     if undecided:

@@ -100,7 +100,7 @@ def test_an_open_motion_changes_readings_as_a_rollout_along_it_does(given: Any) 
 
 
 def test_rollouts_follow_the_draws(given: Any) -> None:
-    """Where a body answers linearly, along the draws of the open motions it does what their responses say."""
+    """Where a body responds linearly, along the draws of the open motions it does what their responses say."""
     found, predictor, base, run = given
     motions, jobs = found.open_motions(0, run), found.submit_along(0, run)
     count = DISCRETISATION.rolled_motions

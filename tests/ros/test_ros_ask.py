@@ -29,10 +29,10 @@ BUILDING = (False, "The scene is still being built. Ask again when it stands.")
 
 
 class Nodes:
-    """Stands in for a client: ``answers`` of services in turn, and what is published while it waits."""
+    """Stands in for a client: ``replies`` of services in turn, and what is published while it waits."""
 
-    def __init__(self, answers: list[tuple[bool, str]], published: list[tuple[str, str]] | None = None) -> None:
-        self.answers, self.published = answers, list(published or [])
+    def __init__(self, replies: list[tuple[bool, str]], published: list[tuple[str, str]] | None = None) -> None:
+        self.replies, self.published = replies, list(published or [])
         self.asked: list[str] = []
         self.set: dict[str, str] = {}
         self.heard: list[Callable[[Any], None]] = []
@@ -40,7 +40,7 @@ class Nodes:
 
     def trigger(self, name: str) -> Any:
         self.asked.append(name)
-        success, message = self.answers.pop(0)
+        success, message = self.replies.pop(0)
         return SimpleNamespace(success=success, message=message)
 
     def set_parameters(self, node: str, values: dict[str, str]) -> None:
@@ -90,19 +90,19 @@ def test_a_job_that_is_refused_is_an_error_in_the_words_of_the_node(ros: None) -
 def test_a_rig_is_deployed_when_its_scene_is_at_its_start() -> None:
     nodes: Any = Nodes([(True, "The scene of pull is being built."), BUILDING, BUILDING, (True, BACK)])
     deploy(nodes, "/twin/thinshell_sim", str(RIG))
-    assert nodes.set == {"rig": str(RIG)} and not nodes.answers
+    assert nodes.set == {"rig": str(RIG)} and not nodes.replies
     assert set(nodes.asked) == {"/twin/thinshell_sim/reset"}
 
 
 @pytest.mark.parametrize(
-    ("answers", "words"),
+    ("replies", "words"),
     [
         ([(False, "The rig has other topics.")], "does not take .* The rig has other topics"),
         ([(True, "is being built"), BUILDING, (True, "No equilibrium. It is being started again.")], "No equilibrium"),
     ],
 )
-def test_a_rig_that_cannot_be_simulated_is_an_error(answers: list[tuple[bool, str]], words: str) -> None:
-    nodes: Any = Nodes(answers)
+def test_a_rig_that_cannot_be_simulated_is_an_error(replies: list[tuple[bool, str]], words: str) -> None:
+    nodes: Any = Nodes(replies)
     with pytest.raises((ConfigError, WorkerError), match=words):
         deploy(nodes, "node", str(RIG))
 

@@ -130,6 +130,6 @@ def test_time_that_stamps_leave_out_is_a_warning_where_things_move_by_themselves
 
 
 def test_a_simulator_says_that_its_poses_are_exact(tmp_path: Path) -> None:
-    told = read_recording(recorded(tmp_path / "told", [("reset", -0.5, {"poses": "exact"}), tare(1.0)]))
-    assert [event.exact_poses for event in told.events] == [True, False]
+    declared = read_recording(recorded(tmp_path / "declared", [("reset", -0.5, {"poses": "exact"}), tare(1.0)]))
+    assert [event.exact_poses for event in declared.events] == [True, False]
     assert not read_recording(recorded(tmp_path / "untold", [("reset", -0.5, {})])).events[0].exact_poses

@@ -17,8 +17,8 @@ def observations(materials: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Of episodes with one number of a material each, which the first two entries tell; ``(n, 4, 6)``."""
     count = len(materials)
     drift = np.linspace(0.0, 5.0, 4)[None, :]
-    told = 0.1 * materials[:, None]
-    entries = [told + drift, -2.0 * told + drift, np.zeros((count, 4)), np.zeros((count, 4)), np.zeros((count, 4))]
+    shown = 0.1 * materials[:, None]
+    entries = [shown + drift, -2.0 * shown + drift, np.zeros((count, 4)), np.zeros((count, 4)), np.zeros((count, 4))]
     made = np.tile(np.linspace(0.0, 1.0, 4), (count, 1))
     seen = np.stack([*entries, made], axis=2)
     return np.asarray(seen + NOISE * rng.standard_normal(seen.shape))
