@@ -31,9 +31,10 @@ from sysid.solve.optimum import Fitted
 from sysid.solve.residuals import Problem
 
 
-def fitted_on(problem: Problem, begun: Fitted, evaluations: int = DIAGNOSIS.baseline_evaluations_beside) -> Fitted:
+def fitted_on(problem: Problem, begun: Fitted) -> Fitted:
     """A model fitted on from where it stands."""
-    return fitted_from(problem, begun.centre, begun.parameters, begun.scaled, evaluations)
+    most = DIAGNOSIS.baseline_evaluations_on
+    return fitted_from(problem, begun.centre, begun.parameters, begun.scaled, most)
 
 
 def fitted_from(

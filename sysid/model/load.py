@@ -105,7 +105,7 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
     names, missing = topics_of(rig, recording.provenance.message_counts)
     unlike = unlike_rig(findings)
     poses: dict[str, PoseTrajectory] = {}
-    corners: list[str] = []
+    said_of_poses: list[str] = []
     for name in rig.end_effectors:
         effector = rig.end_effectors[name]
         commanded = recording.target_poses.get(name) if names.ee[name].target_pose else None
@@ -125,7 +125,8 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
         )
         by_command = stream is recording.target_poses.get(name)
         poses[name] = trajectory if by_command else trajectory.smoothed()
-        corners.extend(_corner_notes(stream.topic, poses[name]))
+        said_of_poses.extend(_clock_notes(stream.topic, trajectory, poses[name]))
+        said_of_poses.extend(_corner_notes(stream.topic, poses[name]))
     recorded = tuple(_measured(rig, recording))
     measured, blanked = while_posed(rig, poses, recorded)
     if not measured:
@@ -149,7 +150,7 @@ def lined_up(rig: Rig, recording: Recording, findings: Sequence[Finding], path: 
         notes=(
             *merged_notes(said),
             *lacking,
-            *corners,
+            *said_of_poses,
             *([unlike] if unlike else []),
             *blanked,
             *missed,
@@ -168,6 +169,17 @@ def as_note(found: Finding) -> Note:
     """A finding as a remark on the recording."""
     severity: Severity = "info" if found.severity == "note" else "warning"
     return Note(severity, found.channel, found.text, times=found.times)
+
+
+def _clock_notes(topic: str, stamped: PoseTrajectory, taken: PoseTrajectory) -> list[str]:
+    """A note if poses are taken at the ticks of a clock and not at their stamps."""
+    if taken.times is stamped.times:
+        return []
+    jitter_ms, rate_hz = 1e3 * np.std(stamped.times - taken.times), 1.0 / np.median(np.diff(taken.times))
+    return [
+        f"{topic}: the stamps jitter by {jitter_ms:.2g} ms about the ticks of a clock of {rate_hz:.4g} Hz, where the "
+        "poses are on a smoother motion; they are taken at the ticks."
+    ]
 
 
 def _corner_notes(topic: str, trajectory: PoseTrajectory) -> list[str]:

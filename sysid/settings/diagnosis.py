@@ -14,7 +14,7 @@ class DiagnosisSettings:
 
     # baseline
     baseline_evaluations: int = setting(8, "1", "Evaluations allowed to the fit of the baseline.", "cost")
-    baseline_evaluations_beside: int = setting(
+    baseline_evaluations_on: int = setting(
         5, "1", "Evaluations allowed to it with the error of mesh and time step, measured where it came to.", "cost"
     )
     fit_tolerance: float = setting(

@@ -8,6 +8,7 @@ import pytest
 
 from sim_core.errors import ConfigError
 from sim_core.rigs import load_rig
+from sim_core.rigs.schema import JointPoses
 from thinshell_ros.clouds import MARKER_POINT, TRACK_POINT, marker_points, track_points
 from thinshell_ros.sampling import Sampler
 from thinshell_ros.streams import Channel, channels_of, topics_to_record
@@ -118,6 +119,19 @@ def test_the_topics_to_record() -> None:
         "side/image/compressed": False,
         "events": False,
     }
+
+
+@pytest.mark.parametrize("urdf", [None, "robot.urdf"])
+def test_joints_are_recorded_in_place_of_a_pose(urdf: str | None) -> None:
+    """With the URDF, unless the rig names a file."""
+    rig = load_rig(RIG)
+    ((name, hand),) = rig.end_effectors.items()
+    joints = JointPoses(tip="tool0", urdf=urdf)
+    hand = hand.model_copy(update={"topics": hand.topics.model_copy(update={"joints": joints})})
+    topics = topics_to_record(rig.model_copy(update={"end_effectors": {name: hand}}))
+    expected = {topic.name: topic.expected for topic in topics}
+    assert (expected["joint_states"], expected["current_pose"]) == (True, False)
+    assert expected["robot_description"] == (urdf is None)
 
 
 def test_a_tare_averages_the_last_readings_and_a_restart_takes_it_back() -> None:
