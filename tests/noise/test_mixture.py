@@ -72,7 +72,7 @@ def test_what_later_samples_are_off_a_prediction_is_as_large_as_short_rests_say(
     white: float, coloured: float, rho: float
 ) -> None:
     """Residuals of a right model are as large as the noise. The share of slow noise is known badly from four rests; a
-    correlation that goes by it alone makes residuals 5 to 13 % too large, on average and in squares."""
+    correlation that goes by it alone makes residuals 4 to 14 % too large, on average and in squares."""
     found = [only(rests(seed, white, coloured, rho)) for seed in range(40, 60)]
     true = float(innovation_variance(np.array(white**2), np.array(coloured**2), np.array(rho)))
     ratios = []
